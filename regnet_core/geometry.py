@@ -1,0 +1,87 @@
+"""Boxes, planes and rigid transforms. SI units, right-handed frames; transforms are named ``T_target_source``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from regnet_core.errors import InvalidInputError
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box in some frame [m]; ``lower`` and ``upper`` are its two extreme corners, each (3,)."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
+        if lower.shape != (3,) or upper.shape != (3,):
+            raise InvalidInputError(f"a box needs two corners of 3 numbers, got {lower.shape} and {upper.shape}")
+        if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower < upper).all()):
+            raise InvalidInputError(
+                f"a box needs lower < upper in x, y and z, got lower {lower.tolist()} and upper {upper.tolist()}"
+            )
+        object.__setattr__(self, "lower", tuple(lower.tolist()))
+        object.__setattr__(self, "upper", tuple(upper.tolist()))
+
+    def contains(self, points: npt.ArrayLike) -> Mask:
+        """Which of the points (N, 3) lie inside, the faces included -> (N,)."""
+        p = np.asarray(points)
+        lower, upper = np.asarray(self.lower, p.dtype), np.asarray(self.upper, p.dtype)
+        return ((p >= lower) & (p <= upper)).all(axis=-1)
+
+    def corners(self) -> Array:
+        """The eight corners (8, 3)."""
+        return np.array([[x, y, z] for x in self._span(0) for y in self._span(1) for z in self._span(2)])
+
+    def _span(self, axis: int) -> tuple[float, float]:
+        return self.lower[axis], self.upper[axis]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane of all p with ``normal . p = offset``; the normal has length 1 and points to the free side."""
+
+    normal: tuple[float, float, float]
+    offset: float
+
+    def height(self, points: npt.ArrayLike) -> Array:
+        """Signed distance of points (..., 3) to the plane [m], positive on the free side -> (...)."""
+        return np.asarray(points) @ np.asarray(self.normal) - self.offset
+
+
+def transform_points(transform: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Points (N, 3) in the source frame, moved by ``transform`` (4, 4) into the target frame."""
+    matrix = np.asarray(transform, float)
+    return np.asarray(points) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def pose_matrix(xyz: npt.ArrayLike, rpy: npt.ArrayLike) -> Array:
+    """The transform (4, 4) of a position [m] and roll, pitch, yaw [rad] about the fixed x, y, z axes (REP-103)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, float)).as_matrix()
+    matrix[:3, 3] = np.asarray(xyz, float)
+    return matrix
+
+
+def quaternion_from_matrix(rotation: npt.ArrayLike) -> Array:
+    """Rotations (M, 3, 3) as unit quaternions (M, 4) in the order x, y, z, w, with w >= 0."""
+    return Rotation.from_matrix(np.asarray(rotation, float)).as_quat(canonical=True)
+
+
+def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Array:
+    """Unit quaternions (M, 4) in the order x, y, z, w as rotations (M, 3, 3)."""
+    return Rotation.from_quat(np.asarray(quaternion, float)).as_matrix()
+
+
+def normalised(vectors: Array) -> Array:
+    """Vectors (..., 3) scaled to length 1."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -1,0 +1,158 @@
+"""Grasps: a batch of parallel-jaw grasps as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from regnet_core import coder
+from regnet_core.errors import InvalidInputError
+from regnet_core.geometry import Array
+from regnet_core.gripper import Gripper
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "rotation": (3, 3),
+    "translation": (3,),
+    "width": (),
+    "quality": (),
+    "vertical_score": (),
+    "confidence": (),
+}
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """M grasps in one gravity-aligned frame (z up) [m]; results of detectors are ordered best first.
+
+    Raises:
+        InvalidInputError: an array has the wrong shape.
+    """
+
+    rotation: Array
+    """(M, 3, 3): columns approach X, closing direction Y, and Z = X x Y."""
+    translation: Array
+    """(M, 3): the grasp centre c, on the palm's face."""
+    width: Array
+    """(M,): the jaw opening to command before closing, at most the gripper's W."""
+    quality: Array
+    """(M,): s_q in [0, 1], the antipodal score cos(alpha_i) cos(alpha_j) that is expected at the two contacts."""
+    vertical_score: Array
+    """(M,): s_v in [0, 1], 1 when the hand points straight down."""
+    confidence: Array
+    """(M,): in [0, 1], how well the point the grasp came from is suited to grasping."""
+
+    def __post_init__(self) -> None:
+        for name, shape in _SHAPES.items():
+            array = np.asarray(getattr(self, name), dtype=np.float64)
+            if array.shape[1:] != shape or array.ndim != len(shape) + 1 or len(array) != len(self.rotation):
+                raise InvalidInputError(
+                    f"grasps' {name} must have shape ({len(self.rotation)}, {str(shape)[1:]}, got {array.shape}"
+                )
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def from_poses(
+        cls,
+        rotation: npt.ArrayLike,
+        translation: npt.ArrayLike,
+        width: npt.ArrayLike,
+        quality: npt.ArrayLike,
+        confidence: npt.ArrayLike | None = None,
+    ) -> Grasps:
+        """Grasps in canonical form (coder.py), with the vertical score computed from the rotation."""
+        canonical = coder.canonical_rotation(np.asarray(rotation, dtype=np.float64))
+        confident = np.ones(len(canonical)) if confidence is None else np.asarray(confidence, dtype=np.float64)
+        return cls(
+            canonical,
+            np.asarray(translation, dtype=np.float64),
+            np.asarray(width, dtype=np.float64),
+            np.asarray(quality, dtype=np.float64),
+            coder.vertical_score(canonical),
+            confident,
+        )
+
+    @classmethod
+    def empty(cls) -> Grasps:
+        """A batch without a grasp."""
+        return cls(*(np.zeros((0, *shape)) for shape in _SHAPES.values()))
+
+    @classmethod
+    def concatenate(cls, batches: Iterable[Grasps]) -> Grasps:
+        """All grasps of several batches, in their order."""
+        parts = [cls.empty(), *batches]
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def __getitem__(self, index: int | slice | npt.NDArray[np.generic] | list[int]) -> Grasps:
+        chosen = [index] if isinstance(index, int | np.integer) else index
+        return Grasps(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    def __iter__(self) -> Iterator[Grasps]:
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def approach(self) -> Array:
+        """(M, 3): X, the direction in which the hand moves to the object."""
+        return self.rotation[:, :, 0]
+
+    @property
+    def closing(self) -> Array:
+        """(M, 3): Y, the direction along which the fingers close."""
+        return self.rotation[:, :, 1]
+
+    @property
+    def poses(self) -> Array:
+        """(M, 4, 4): the grasp frame in the frame of the batch."""
+        poses = np.tile(np.eye(4), (len(self), 1, 1))
+        poses[:, :3, :3] = self.rotation
+        poses[:, :3, 3] = self.translation
+        return poses
+
+    def fingertips(self, gripper: Gripper) -> Array:
+        """(M, 3): the point between the fingertips, c + D X."""
+        return self.translation + gripper.depth * self.approach
+
+    def tool_poses(self, T_grasp_tool: npt.ArrayLike) -> Array:  # noqa: N803 (transforms are T_target_source)
+        """(M, 4, 4): the user's tool frame, given its pose (4, 4) in the grasp frame."""
+        return self.poses @ np.asarray(T_grasp_tool, float)
+
+    def transformed(self, T_target_source: npt.ArrayLike) -> Grasps:  # noqa: N803
+        """The same grasps in another gravity-aligned frame, in that frame's canonical form."""
+        matrix = np.asarray(T_target_source, float)
+        return Grasps.from_poses(
+            matrix[:3, :3] @ self.rotation,
+            self.translation @ matrix[:3, :3].T + matrix[:3, 3],
+            self.width,
+            self.quality,
+            self.confidence,
+        )
+
+    def ranked(self) -> Grasps:
+        """The same grasps by falling quality; ties keep their order, so the result is reproducible."""
+        return self[np.argsort(-self.quality, kind="stable")]
+
+    def save(self, path: str | Path) -> None:
+        """Write an .npz with one array for each field, under the field's name."""
+        target = Path(path)
+        if target.suffix != ".npz":
+            raise InvalidInputError(f"grasps are saved as .npz, got '{target.name}'")
+        np.savez_compressed(target, **{f.name: getattr(self, f.name) for f in fields(self)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Grasps:
+        """Read what ``save`` wrote; nothing is unpickled.
+
+        Raises:
+            InvalidInputError: an array is missing or has the wrong shape.
+        """
+        with np.load(Path(path), allow_pickle=False) as data:
+            missing = [name for name in _SHAPES if name not in data]
+            if missing:
+                raise InvalidInputError(f"{path} holds no grasps: it lacks {', '.join(missing)}")
+            return cls(**{name: data[name] for name in _SHAPES})
