@@ -1,0 +1,57 @@
+"""A uniform grid over points, for visiting the points of any small region quickly."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from regnet_core.geometry import Array
+
+_MAX_CELLS = 4_000_000
+"""Clouds so wide that they would need more cells get larger ones."""
+
+
+class VoxelGrid(NamedTuple):
+    """Points sorted by cell; the points of the cells (i, j, k0..k1) are contiguous."""
+
+    points: Array
+    """(N, 3) in the order of their cells."""
+    order: npt.NDArray[np.int64]
+    """(N,): the index of each of these points in the input."""
+    start: npt.NDArray[np.int64]
+    """(cells + 1,): where each cell's points begin."""
+    origin: Array
+    """(3,): lower corner of cell (0, 0, 0) [m]."""
+    shape: npt.NDArray[np.int64]
+    """(3,): number of cells along each axis."""
+    cell: float
+    """Edge length of a cell [m]."""
+
+
+def build_grid(points: Array, cell: float) -> VoxelGrid:
+    """Sort points (N, 3) into cubic cells of edge length ``cell`` [m]."""
+    if len(points) == 0:
+        points = np.zeros((0, 3))
+        return VoxelGrid(points, np.zeros(0, np.int64), np.zeros(2, np.int64), np.zeros(3), np.ones(3, np.int64), cell)
+    origin, extent = points.min(axis=0), np.ptp(points, axis=0)
+    shape = np.floor(extent / cell).astype(np.int64) + 1
+    while float(np.prod(shape.astype(float))) > _MAX_CELLS:
+        cell *= 1.5
+        shape = np.floor(extent / cell).astype(np.int64) + 1
+    index = np.minimum(((points - origin) / cell).astype(np.int64), shape - 1)
+    key = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
+    order = np.argsort(key, kind="stable")
+    start = np.zeros(int(np.prod(shape)) + 1, np.int64)
+    np.cumsum(np.bincount(key, minlength=int(np.prod(shape))), out=start[1:])
+    return VoxelGrid(np.ascontiguousarray(points[order]), order, start, origin, shape, float(cell))
+
+
+@njit(nogil=True, cache=True, inline="always")
+def cell_range(low: float, high: float, origin: float, cell: float, size: int) -> tuple[int, int]:
+    """First and last cell along one axis that [low, high] touches; an empty range when it misses the grid."""
+    first = int(np.floor((low - origin) / cell))
+    last = int(np.floor((high - origin) / cell))
+    return max(first, 0), min(last, size - 1)

@@ -1,0 +1,73 @@
+"""Which space beside the objects the camera could not see into.
+
+Without the camera's position, the support plane tells: where the plane itself was seen, the space above it is free up to
+the camera; where neither the plane nor an object was seen, some object throws its shadow, and something may hide there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from regnet_core.geometry import Array, Plane
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+
+_MAX_CELLS = 4_000_000
+_FINGER_SAMPLES = (4, 2, 2)
+"""Sample points along depth, thickness and height of a finger."""
+
+
+class UnseenGround(NamedTuple):
+    """A map of the support plane."""
+
+    unseen: npt.NDArray[np.bool_]
+    """(nx, ny): neither the plane nor an object was seen here."""
+    origin: Array
+    """(2,): centre of cell (0, 0) [m]."""
+    cell: float
+    """Edge length of a cell [m]."""
+
+    def finger_shares(self, grasps: Grasps, gripper: Gripper) -> Array:
+        """(M, 2): which part of the left (+Y) and of the right finger stands above unseen ground, in [0, 1]."""
+        nx, ny, nz = _FINGER_SAMPLES
+        x = (np.arange(nx) + 0.5) / nx * gripper.depth
+        y = (np.arange(ny) + 0.5) / ny * gripper.thickness
+        z = ((np.arange(nz) + 0.5) / nz - 0.5) * gripper.height
+        grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+        shares = []
+        for side in (1.0, -1.0):
+            local = np.repeat(grid[None], len(grasps), axis=0)
+            local[:, :, 1] = side * (local[:, :, 1] + grasps.width[:, None] / 2)
+            points = np.einsum("mij,msj->msi", grasps.rotation, local) + grasps.translation[:, None]
+            shares.append(self.at(points[..., :2]).mean(axis=1))
+        return np.stack(shares, axis=1)
+
+    def at(self, xy: Array) -> npt.NDArray[np.bool_]:
+        """Whether the ground below points (..., 2) is unseen; outside the map it is."""
+        index = np.round((xy - self.origin) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < self.unseen.shape)).all(axis=-1)
+        index = np.where(inside[..., None], index, 0)
+        return ~inside | self.unseen[index[..., 0], index[..., 1]]
+
+
+def unseen_ground(plane_points: Array, object_points: Array, cell: float = 0.006) -> UnseenGround | None:
+    """Map what was seen of the ground, from the points on the plane (P, 3) and on the objects (S, 3) [m].
+
+    Gaps of up to three cells between neighbouring points are closed. None when the map would be too large.
+    """
+    points = np.concatenate([plane_points, object_points])[:, :2]
+    if len(points) == 0:
+        return None
+    pad = 4
+    low = points.min(axis=0) - pad * cell
+    shape = np.round((points.max(axis=0) - low) / cell).astype(np.int64) + 1 + pad
+    if float(shape[0]) * float(shape[1]) > _MAX_CELLS:
+        return None
+    seen = np.zeros(shape, bool)
+    index = np.round((points - low) / cell).astype(np.int64)
+    seen[index[:, 0], index[:, 1]] = True
+    return UnseenGround(~ndimage.binary_closing(seen, np.ones((3, 3)), iterations=1), low, cell)
