@@ -1,0 +1,145 @@
+"""Collision of the open hand with the observed scene and with the support plane, for thousands of grasps at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from regnet_core.geometry import Array, Mask, Plane
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+from regnet_core.ops.parallel import for_each_range
+from regnet_core.ops.voxel_grid import VoxelGrid, build_grid, cell_range
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """When a hand counts as colliding."""
+
+    margin: float = 0.002
+    """The bodies are grown by this much on every side but the fingers' inner faces, for the camera's noise [m]."""
+    max_points: int = 1
+    """Up to so many points inside a body are taken for noise."""
+    table_clearance: float = 0.003
+    """The least height of any part of the hand above the support plane [m]."""
+
+
+class Occupancy(NamedTuple):
+    """How many points lie in each part of the hand; counting stops where it no longer matters."""
+
+    palm: npt.NDArray[np.int64]
+    """(M,)."""
+    fingers: npt.NDArray[np.int64]
+    """(M,): both fingers together."""
+    closing: npt.NDArray[np.int64]
+    """(M,): between the fingers."""
+    marked: npt.NDArray[np.int64]
+    """(M,): those between the fingers that are marked."""
+
+
+class SceneCollision:
+    """Tests hands against points (N, 3) and a support plane."""
+
+    def __init__(self, points: Array, plane: Plane | None, config: CollisionConfig | None = None) -> None:
+        self.config = config or CollisionConfig()
+        self.plane = plane
+        self._grid: VoxelGrid = build_grid(np.ascontiguousarray(points, dtype=np.float64), 0.012)
+
+    def occupancy(
+        self, grasps: Grasps, gripper: Gripper, *, margin: float = 0.0, marked: Mask | None = None
+    ) -> Occupancy:
+        """Count the points in palm, fingers and closing region of each grasp at its own opening.
+
+        Args:
+            grasps: M grasps in the frame of the points.
+            gripper: the hand.
+            margin: the bodies are grown by this much on every side but the fingers' inner faces [m].
+            marked: (N,) which points to count in ``Occupancy.marked``; none by default.
+        """
+        counts = np.zeros((len(grasps), 4), np.int64)
+        flags = np.zeros(len(self._grid.points), np.bool_) if marked is None else marked[self._grid.order]
+        sizes = np.array(
+            [gripper.width, gripper.depth, gripper.height / 2, gripper.thickness, gripper.palm_depth, margin]
+        )
+        g = self._grid
+
+        def run(start: int, stop: int) -> None:
+            _count(
+                grasps.rotation, grasps.translation, grasps.width, sizes, g.points, flags, g.start, g.origin, g.shape,
+                g.cell, start, stop, counts,
+            )  # fmt: skip
+
+        for_each_range(run, len(grasps), least=64)
+        return Occupancy(*np.ascontiguousarray(counts.T))
+
+    def with_points(self, grasps: Grasps, gripper: Gripper) -> Mask:
+        """(M,): palm or fingers hit the points."""
+        counts = self.occupancy(grasps, gripper, margin=self.config.margin)
+        return (counts.palm > self.config.max_points) | (counts.fingers > self.config.max_points)
+
+    def with_table(self, grasps: Grasps, gripper: Gripper) -> Mask:
+        """(M,): some part of the hand is below the support plane or nearer to it than the clearance."""
+        if self.plane is None:
+            return np.zeros(len(grasps), bool)
+        return lowest_height(grasps, gripper, self.plane) < self.config.table_clearance
+
+
+def lowest_height(grasps: Grasps, gripper: Gripper, plane: Plane) -> Array:
+    """(M,): height of the lowest corner of palm and fingers above the plane [m]."""
+    normal = np.asarray(plane.normal)
+    along = np.einsum("i,mij->mj", normal, grasps.rotation)
+    centre = plane.height(grasps.translation)
+    down_z = np.abs(along[:, 2]) * gripper.height / 2
+    palm_y = np.abs(along[:, 1]) * (gripper.width / 2 + gripper.thickness)
+    finger_y = np.abs(along[:, 1]) * (grasps.width / 2 + gripper.thickness)
+    palm = np.minimum(0.0, -along[:, 0] * gripper.palm_depth) - palm_y
+    fingers = np.minimum(0.0, along[:, 0] * gripper.depth) - finger_y
+    return centre - down_z + np.minimum(palm, fingers)
+
+
+@njit(nogil=True, cache=True)
+def _count(rotation, translation, opening, sizes, points, flags, starts, origin, shape, cell, begin, end, counts):  # type: ignore[no-untyped-def]
+    width, depth, half_height, thickness, palm_depth, margin = sizes
+    z_max = half_height + margin
+    for m in range(begin, end):
+        pose, c = rotation[m], translation[m]
+        inner = opening[m] / 2
+        outer = inner + thickness + margin
+        palm_y = width / 2 + thickness + margin
+        y_max = max(palm_y, outer)
+        x_mid, x_half = (depth - palm_depth) / 2, (depth + palm_depth) / 2 + margin
+        low, high = np.empty(3), np.empty(3)
+        for a in range(3):
+            centre = c[a] + pose[a, 0] * x_mid
+            half = abs(pose[a, 0]) * x_half + abs(pose[a, 1]) * y_max + abs(pose[a, 2]) * z_max
+            low[a], high[a] = centre - half, centre + half
+        i0, i1 = cell_range(low[0], high[0], origin[0], cell, shape[0])
+        j0, j1 = cell_range(low[1], high[1], origin[1], cell, shape[1])
+        k0, k1 = cell_range(low[2], high[2], origin[2], cell, shape[2])
+        if k1 < k0:
+            continue
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                row = (i * shape[1] + j) * shape[2]
+                for p in range(starts[row + k0], starts[row + k1 + 1]):
+                    dx, dy, dz = points[p, 0] - c[0], points[p, 1] - c[1], points[p, 2] - c[2]
+                    z = dx * pose[0, 2] + dy * pose[1, 2] + dz * pose[2, 2]
+                    if abs(z) > z_max:
+                        continue
+                    x = dx * pose[0, 0] + dy * pose[1, 0] + dz * pose[2, 0]
+                    if x < -palm_depth - margin or x > depth + margin:
+                        continue
+                    y = abs(dx * pose[0, 1] + dy * pose[1, 1] + dz * pose[2, 1])
+                    if x <= margin:
+                        if y <= palm_y:
+                            counts[m, 0] += 1
+                    elif y < inner:
+                        if x < depth and abs(z) < half_height:
+                            counts[m, 2] += 1
+                            counts[m, 3] += flags[p]
+                    elif y <= outer:
+                        counts[m, 1] += 1

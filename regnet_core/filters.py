@@ -1,0 +1,59 @@
+"""What the user accepts: approach cone, workspace, quality and target region. The whole scene stays for collision."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from regnet_core.errors import InvalidInputError
+from regnet_core.geometry import Box, Mask, normalised
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+
+
+@dataclass(frozen=True)
+class GraspFilters:
+    """Limits on the grasps that are returned; the defaults accept everything.
+
+    Raises:
+        InvalidInputError: a limit makes no sense.
+    """
+
+    approach_axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    """Axis of the cone of accepted approach directions, in the cloud's frame; straight down by default."""
+    approach_max_angle: float = math.pi
+    """Half-angle of that cone [rad]; pi accepts every approach."""
+    workspace: Box | None = None
+    """Where the point between the fingertips must lie, in the cloud's frame [m]."""
+    min_quality: float = 0.0
+    """The least quality s_q in [0, 1]."""
+    target: Box | Mask | None = field(default=None, compare=False)
+    """The region of interest: a box in the cloud's frame [m], or a mask (N,) over the points given to ``detect``.
+
+    A grasp is on target when more than half of the points between its fingers are.
+    """
+
+    def __post_init__(self) -> None:
+        if not (np.shape(self.approach_axis) == (3,) and 1e-6 < float(np.linalg.norm(self.approach_axis)) < math.inf):
+            raise InvalidInputError(f"approach_axis must be 3 numbers, not all zero, got {self.approach_axis}")
+        if not 0.0 < self.approach_max_angle <= math.pi:
+            raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {self.approach_max_angle:g}")
+        if not 0.0 <= self.min_quality <= 1.0:
+            raise InvalidInputError(f"min_quality must be in [0, 1], got {self.min_quality:g}")
+
+    def approach_ok(self, grasps: Grasps) -> Mask:
+        """(M,): the approach lies in the cone."""
+        axis = normalised(np.asarray(self.approach_axis, float))
+        return grasps.approach @ axis >= math.cos(self.approach_max_angle) - 1e-12
+
+    def workspace_ok(self, grasps: Grasps, gripper: Gripper) -> Mask:
+        """(M,): the point between the fingertips lies in the workspace."""
+        if self.workspace is None:
+            return np.ones(len(grasps), dtype=bool)
+        return self.workspace.contains(grasps.fingertips(gripper))
+
+    def quality_ok(self, grasps: Grasps) -> Mask:
+        """(M,): the quality is high enough."""
+        return grasps.quality >= self.min_quality
