@@ -1,9 +1,9 @@
-"""The orientation coder of REGNet V2: a rotation <-> (closing direction r, approach angle theta), and its canonical form.
+"""The orientation coder of REGNet V2: rotation <-> (closing direction r, approach angle theta), and its canonical form.
 
 X' is the horizontal direction r x z (z = up); the approach X is X' turned about Y = r by theta, so that
-X = cos(theta) X' + sin(theta) r x X'. With a horizontal r, theta = pi / 2 points straight down and the vertical score is
-0.5 + theta / pi for |theta| <= pi / 2. A jaw is symmetric: (X, Y, Z) and (X, -Y, -Z) are the same grasp. The canonical
-one has r in the half-space of the four anchors, x > 0 (on its border: y > 0, or y = 0 and z > 0).
+X = cos(theta) X' + sin(theta) r x X'. With a horizontal r, theta = pi / 2 points straight down and the vertical score
+is 0.5 + theta / pi for |theta| <= pi / 2. A jaw is symmetric: (X, Y, Z) and (X, -Y, -Z) are the same grasp. The
+canonical one has r in the half-space of the four anchors, x > 0 (on its border: y > 0, or y = 0 and z > 0).
 """
 
 from __future__ import annotations
@@ -57,5 +57,5 @@ def decode_orientation(r: Array, theta: Array) -> Array:
 
 
 def vertical_score(rotation: Array) -> Array:
-    """s_v = 0.5 + asin(-X.z) / pi of rotations (M, 3, 3) -> (M,): 1 when the hand points straight down, 0 straight up."""
+    """s_v = 0.5 + asin(-X.z) / pi of rotations (M, 3, 3) -> (M,): 1 when the hand points straight down, 0 when up."""
     return 0.5 + np.arcsin(np.clip(-rotation[..., 2, 0], -1.0, 1.0)) / np.pi

@@ -2,7 +2,7 @@
 
 A depth camera sees the front and the top of an object. Almost everything that stands on a table is solid between its
 visible top and the table, so the volume below each observed point is taken as filled. The surface of that volume gives
-the hidden walls, with normals; they let a grasp be judged at both of its contacts and keep fingers out of the unseen part.
+the hidden walls, with normals; they let a grasp be judged at both contacts and keep fingers out of what is unseen.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from regnet_core.geometry import Array, Plane
+from regnet_core.pointcloud import Index
 
 _MAX_VOXELS = 6_000_000
 
@@ -102,7 +103,7 @@ def hidden_surface(
     return HiddenSurface(points[far], normals[far])
 
 
-def _central_difference(volume: Array, index: Array, axis: int) -> Array:
+def _central_difference(volume: Array, index: Index, axis: int) -> Array:
     """Half the difference of the two neighbours along an axis, at voxels (V, 3) that are not on the border."""
     step = np.zeros(3, np.int64)
     step[axis] = 1

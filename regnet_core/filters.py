@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from regnet_core.errors import InvalidInputError
-from regnet_core.geometry import Box, Mask, normalised
+from regnet_core.geometry import Box, Mask, check_cone, within_cone
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 
@@ -36,17 +36,13 @@ class GraspFilters:
     """
 
     def __post_init__(self) -> None:
-        if not (np.shape(self.approach_axis) == (3,) and 1e-6 < float(np.linalg.norm(self.approach_axis)) < math.inf):
-            raise InvalidInputError(f"approach_axis must be 3 numbers, not all zero, got {self.approach_axis}")
-        if not 0.0 < self.approach_max_angle <= math.pi:
-            raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {self.approach_max_angle:g}")
+        check_cone(self.approach_axis, self.approach_max_angle)
         if not 0.0 <= self.min_quality <= 1.0:
             raise InvalidInputError(f"min_quality must be in [0, 1], got {self.min_quality:g}")
 
     def approach_ok(self, grasps: Grasps) -> Mask:
         """(M,): the approach lies in the cone."""
-        axis = normalised(np.asarray(self.approach_axis, float))
-        return grasps.approach @ axis >= math.cos(self.approach_max_angle) - 1e-12
+        return within_cone(grasps.approach, self.approach_axis, self.approach_max_angle)
 
     def workspace_ok(self, grasps: Grasps, gripper: Gripper) -> Mask:
         """(M,): the point between the fingertips lies in the workspace."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,3 +86,20 @@ def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Array:
 def normalised(vectors: Array) -> Array:
     """Vectors (..., 3) scaled to length 1."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def within_cone(directions: Array, axis: npt.ArrayLike, max_angle: float) -> Mask:
+    """Which unit vectors (M, 3) make an angle of at most ``max_angle`` [rad] with the axis (3,) -> (M,)."""
+    return directions @ normalised(np.asarray(axis, float)) >= math.cos(max_angle) - 1e-12
+
+
+def check_cone(axis: npt.ArrayLike, max_angle: float) -> None:
+    """Check the two numbers that describe a cone of approach directions.
+
+    Raises:
+        InvalidInputError: the axis has no direction, or the half-angle is not in (0, pi].
+    """
+    if np.shape(axis) != (3,) or not 1e-6 < float(np.linalg.norm(np.asarray(axis, float))) < math.inf:
+        raise InvalidInputError(f"approach_axis must be 3 numbers, not all zero, got {axis!r}")
+    if not 0.0 < max_angle <= math.pi:
+        raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {max_angle:g}")

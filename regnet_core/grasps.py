@@ -48,10 +48,9 @@ class Grasps:
     def __post_init__(self) -> None:
         for name, shape in _SHAPES.items():
             array = np.asarray(getattr(self, name), dtype=np.float64)
-            if array.shape[1:] != shape or array.ndim != len(shape) + 1 or len(array) != len(self.rotation):
-                raise InvalidInputError(
-                    f"grasps' {name} must have shape ({len(self.rotation)}, {str(shape)[1:]}, got {array.shape}"
-                )
+            expected = (len(self.rotation), *shape)
+            if array.shape != expected:
+                raise InvalidInputError(f"grasps' {name} must have shape {expected}, got {array.shape}")
             object.__setattr__(self, name, array)
 
     @classmethod
@@ -118,11 +117,11 @@ class Grasps:
         """(M, 3): the point between the fingertips, c + D X."""
         return self.translation + gripper.depth * self.approach
 
-    def tool_poses(self, T_grasp_tool: npt.ArrayLike) -> Array:  # noqa: N803 (transforms are T_target_source)
+    def tool_poses(self, T_grasp_tool: npt.ArrayLike) -> Array:
         """(M, 4, 4): the user's tool frame, given its pose (4, 4) in the grasp frame."""
         return self.poses @ np.asarray(T_grasp_tool, float)
 
-    def transformed(self, T_target_source: npt.ArrayLike) -> Grasps:  # noqa: N803
+    def transformed(self, T_target_source: npt.ArrayLike) -> Grasps:
         """The same grasps in another gravity-aligned frame, in that frame's canonical form."""
         matrix = np.asarray(T_target_source, float)
         return Grasps.from_poses(

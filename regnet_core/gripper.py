@@ -1,7 +1,7 @@
 """The parallel-jaw gripper: its dimensions and its solid bodies in the grasp frame.
 
-Grasp frame: origin at the grasp centre c, X = approach, Y = closing direction, Z = X x Y. c lies on the palm's face, the
-fingertips at c + depth * X.
+Grasp frame: origin at the grasp centre c, X = approach, Y = closing direction, Z = X x Y. c lies on the palm's face,
+the fingertips at c + depth * X.
 """
 
 from __future__ import annotations

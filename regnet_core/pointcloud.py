@@ -25,7 +25,7 @@ class ValidPoints(NamedTuple):
 
     points: Array
     """(N, 3) finite coordinates [m], float64."""
-    index: Index
+    rows: Index
     """(N,): the row of each in the user's array."""
 
 
@@ -154,7 +154,11 @@ def fit_support_plane(
     best = int(np.argmax(votes - below))
     if votes[best] < min_share * len(probe) or below[best] > votes[best]:
         return None
-    return _refined(points, Plane(tuple(normal[best]), float(normal[best] @ a[best])), tolerance)
+    plane = _refined(points, Plane(tuple(normal[best]), float(normal[best] @ a[best])), tolerance)
+    residual = plane.height(points)
+    residual = residual[np.abs(residual) < tolerance]
+    # Points that fill the whole slab evenly, as those of a round object do, have 0.58 of the tolerance.
+    return plane if len(residual) and np.sqrt(np.mean(residual**2)) < 0.45 * tolerance else None
 
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:

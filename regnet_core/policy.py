@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from regnet_core.errors import InvalidInputError
-from regnet_core.geometry import Array, Box, Mask, normalised
+from regnet_core.geometry import Array, Box, Mask, check_cone, within_cone
 from regnet_core.grasps import Grasps
 
 
@@ -76,7 +76,7 @@ def make_policy(name: str, **constants: float) -> Policy:
     try:
         return POLICIES[name](**constants)
     except TypeError as error:
-        known = ", ".join(getattr(POLICIES[name], "__dataclass_fields__", {})) or "none"
+        known = ", ".join(f.name for f in fields(POLICIES[name])) or "none"
         raise InvalidInputError(f"policy '{name}' takes the constants {known}; got {', '.join(constants)}") from error
 
 
@@ -97,16 +97,12 @@ class SelectionLimits:
     def __post_init__(self) -> None:
         if not 0.0 <= self.reach_min < self.reach_max:
             raise InvalidInputError(f"reach needs 0 <= min < max, got {self.reach_min:g} and {self.reach_max:g} m")
-        if not 0.0 < self.approach_max_angle <= math.pi:
-            raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {self.approach_max_angle:g}")
-        if not float(np.linalg.norm(self.approach_axis)) > 1e-6:
-            raise InvalidInputError(f"approach_axis must not be zero, got {self.approach_axis}")
+        check_cone(self.approach_axis, self.approach_max_angle)
 
     def accepts(self, grasps: Grasps) -> Mask:
         """(M,): the grasps within all limits."""
-        axis = normalised(np.asarray(self.approach_axis, float))
         distance = np.linalg.norm(grasps.translation - np.asarray(self.reach_centre), axis=1)
-        ok = grasps.approach @ axis >= math.cos(self.approach_max_angle) - 1e-12
+        ok = within_cone(grasps.approach, self.approach_axis, self.approach_max_angle)
         ok &= (distance >= self.reach_min) & (distance <= self.reach_max)
         return ok if self.workspace is None else ok & self.workspace.contains(grasps.translation)
 

@@ -126,7 +126,7 @@ def _object_surface(
     points, source, height = cloud[on_object], source[on_object], height[on_object]
     radius = neighbourhood_radius(points, rng)
     local = estimate_normals(points, radius)
-    keep = local.count >= config.outlier_neighbours
+    keep = local.neighbours >= config.outlier_neighbours
     points, source, height, normals = points[keep], source[keep], height[keep], local.normal[keep]
     # Sensor noise is taken out along the normal: onto the plane of the neighbours.
     points = points - normals * np.sum((points - local.mean[keep]) * normals, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """Which space beside the objects the camera could not see into.
 
-Without the camera's position, the support plane tells: where the plane itself was seen, the space above it is free up to
-the camera; where neither the plane nor an object was seen, some object throws its shadow, and something may hide there.
+Without the camera's position, the support plane tells: where the plane itself was seen, the space above it is free up
+to the camera; where neither the plane nor an object was seen, some object throws its shadow, and something may hide there.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from regnet_core.geometry import Array, Plane
+from regnet_core.geometry import Array
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 

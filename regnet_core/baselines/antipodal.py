@@ -1,8 +1,8 @@
 """Antipodal sampling: grasps from surface geometry alone; the sampling baseline of the REGNet V2 paper.
 
-Surface points are drawn as seeds. Around a seed, approach directions are sampled about the inward normal and about
-straight down, closing directions in the local frame of the surface, and insertion depths. The surface's profile along the
-closing direction (ops/jaw_profile.py) then says what the jaw would close on, where the fingers have room, and how well
+Surface points are drawn as seeds. Around a seed, approach directions are sampled about the inward normal and
+straight down, closing directions in the local frame of the surface, and insertion depths. The surface's profile along
+the closing direction (ops/jaw_profile.py) then says what the jaw would close on, where the fingers have room, and how well
 the two contacts oppose each other: s_q = cos(alpha_i) cos(alpha_j).
 """
 
@@ -18,7 +18,7 @@ from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.ops.jaw_profile import JawProfile, jaw_profile
 from regnet_core.ops.voxel_grid import build_grid
-from regnet_core.pointcloud import random_sample
+from regnet_core.pointcloud import Index, random_sample
 from regnet_core.proposer import Proposals
 from regnet_core.scene import Scene, Surface
 from regnet_core.visibility import UnseenGround
@@ -92,7 +92,7 @@ class AntipodalSampler:
         )
         return Proposals(self._grasps(candidates, profile, gripper, scene.ground), len(candidates.rotation))
 
-    def _from_normals(self, surface: Surface, seeds: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def _from_normals(self, surface: Surface, seeds: Index, rng: np.random.Generator) -> tuple[Array, Array]:
         """Approach about the inward normal or straight down; closing directions all around it."""
         cfg = self.config
         seeds = seeds[random_sample(len(seeds), cfg.seeds, rng)]
@@ -108,14 +108,14 @@ class AntipodalSampler:
         approach = np.repeat(approach, cfg.rolls, axis=0)
         return _frames(approach, closing.reshape(-1, 3)), np.repeat(surface.points[seeds], cfg.rolls, axis=0)
 
-    def _from_contacts(self, surface: Surface, seeds: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def _from_contacts(self, surface: Surface, seeds: Index, rng: np.random.Generator) -> tuple[Array, Array]:
         """The seed is a contact: close along its normal, approach from any side that is not from below."""
         cfg = self.config
         sideways = seeds[np.abs(surface.normals[seeds, 2]) < 0.8]
         sideways = sideways[random_sample(len(sideways), cfg.seeds, rng)]
         closing = np.repeat(_tilted(surface.normals[sideways], 0.1, rng), cfg.tilts, axis=0)
         down = _DOWN - closing * (closing @ _DOWN)[:, None]
-        down = normalised(down + 1e-9)
+        down = normalised(down)
         angle = np.clip(rng.normal(0.0, cfg.down_cone, len(closing)), -1.5, 1.5)
         approach = np.cos(angle)[:, None] * down + np.sin(angle)[:, None] * np.cross(closing, down)
         return _frames(approach, closing), np.repeat(surface.points[sideways], cfg.tilts, axis=0)

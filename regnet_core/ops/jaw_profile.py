@@ -1,7 +1,7 @@
 """Where a jaw would close: the profile of a surface along the closing direction of many candidate grasps.
 
-For each candidate the surface points in the slab between palm and fingertips are sorted along Y. The run of occupied bins
-at y = 0 is the thing to be grasped; the empty runs on both sides are where fingers fit; the points at its two ends are
+For each candidate the surface points in the slab between palm and fingertips are binned along Y. The run of occupied
+bins at y = 0 is the thing to be grasped; the empty runs on both sides are where fingers fit; the points at its two ends are
 the contacts.
 """
 
@@ -76,8 +76,8 @@ def jaw_profile(
 
     def run(start: int, stop: int) -> None:
         _profile(
-            rotation, translation, sizes, grid.points, normals, observed, grid.start, grid.origin, grid.shape, grid.cell,
-            start, stop, found, out,
+            rotation, translation, sizes, grid.points, normals, observed, grid.start, grid.origin, grid.shape,
+            grid.cell, start, stop, found, out,
         )  # fmt: skip
 
     for_each_range(run, count)
@@ -127,7 +127,7 @@ def _gather(pose, c, sizes, points, normals, observed, starts, origin, shape, ce
 
 @njit(nogil=True, cache=True)
 def _occupied_run(bins, middle, need):  # type: ignore[no-untyped-def]
-    """First and last bin of the occupied run at ``middle`` and the empty bins beyond each; ``need`` empty bins end it."""
+    """First and last bin of the occupied run at ``middle``, and the empty bins beyond each; ``need`` of them end it."""
     size = len(bins)
     begin = -1
     for offset in range(3):
@@ -176,9 +176,9 @@ def _contact(ys, xs, cosines, seen, n, limit, sign, patch):  # type: ignore[no-u
 
 
 @njit(nogil=True, cache=True)
-def _profile(
+def _profile(  # type: ignore[no-untyped-def]
     rotation, translation, sizes, points, normals, observed, starts, origin, shape, cell, begin, end, found, out
-):  # type: ignore[no-untyped-def]
+):
     width, _, _, thickness, margin, patch = sizes
     reach = width + thickness + 2 * margin
     bins = np.zeros(int(2 * reach / _BIN) + 2, np.int32)

@@ -22,7 +22,7 @@ class LocalPlanes(NamedTuple):
     """(Q, 3): direction of least variance, of arbitrary sign."""
     roughness: Array
     """(Q,): standard deviation of the neighbours along the normal [m]."""
-    count: npt.NDArray[np.int64]
+    neighbours: npt.NDArray[np.int64]
     """(Q,): number of neighbours, the point itself included."""
 
 
