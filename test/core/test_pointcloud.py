@@ -1,0 +1,109 @@
+"""Point clouds: validation, sampling, normals and planes with known answers."""
+
+import numpy as np
+import pytest
+import shapes
+
+from regnet_core import Box, CloudError
+from regnet_core.pointcloud import (
+    crop,
+    estimate_normals,
+    fit_support_plane,
+    neighbourhood_radius,
+    orient_normals,
+    random_sample,
+    validate_colors,
+    validate_points,
+    voxel_downsample,
+)
+
+
+def test_invalid_points_are_dropped_and_the_rest_keeps_its_rows() -> None:
+    points = np.array([[0, 0, 1], [np.nan, 0, 0], [0, np.inf, 0], [1, 2, 3], [0, 0, 1e30]])
+    valid, index = validate_points(points)
+    assert index.tolist() == [0, 3]
+    assert np.array_equal(valid, points[[0, 3]])
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((4, 2)), r"shape \(N, 3\).*got \(4, 2\)"),
+        (np.zeros(3), r"shape \(N, 3\)"),
+        (np.zeros((4, 5, 3)), r"reshape\(-1, 3\)"),
+        (np.array([["a", "b", "c"]]), "real numbers"),
+        (np.zeros((2, 3), complex), "complex"),
+        ([[0.0, 1.0], [1.0]], "array"),
+    ],
+)
+def test_malformed_arrays_are_refused_with_what_would_be_right(points: object, message: str) -> None:
+    with pytest.raises(CloudError, match=message):
+        validate_points(points)
+
+
+def test_colours_are_scaled_and_checked() -> None:
+    assert validate_colors(np.array([[0, 255, 51]], np.uint8), 1)[0].tolist() == [0.0, 1.0, 0.2]
+    assert validate_colors(np.array([[0.0, 1.0, 0.2]]), 1)[0].tolist() == [0.0, 1.0, 0.2]
+    with pytest.raises(CloudError, match=r"\(2, 3\)"):
+        validate_colors(np.zeros((3, 3)), 2)
+
+
+def test_crop_includes_the_faces_of_the_box() -> None:
+    points = np.array([[0, 0, 0], [1, 1, 1], [1.001, 1, 1], [0.5, -0.001, 0.5]])
+    assert crop(points, Box((0, 0, 0), (1, 1, 1))).tolist() == [0, 1]
+
+
+def test_one_point_is_left_in_each_voxel() -> None:
+    axis = np.arange(10) * 0.001 + 0.0005
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    kept = voxel_downsample(points, 0.005)
+    cells = np.floor((points[kept] - points.min(axis=0)) / 0.005).astype(int)
+    assert len(kept) == 8
+    assert len(np.unique(cells, axis=0)) == 8
+    assert np.array_equal(voxel_downsample(points, 1e-9), np.arange(len(points)))
+    with pytest.raises(CloudError, match="voxel size"):
+        voxel_downsample(points, 0.0)
+
+
+def test_random_sample_is_without_repetition_and_reproducible() -> None:
+    a, b = (random_sample(1000, 100, np.random.default_rng(4)) for _ in range(2))
+    assert np.array_equal(a, b)
+    assert len(np.unique(a)) == 100
+    assert random_sample(5, 10, np.random.default_rng(0)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_normals_of_a_sphere_are_radial() -> None:
+    ball = shapes.sphere(0.05)
+    local = estimate_normals(ball.points, 0.012)
+    normals = orient_normals(local.normal, ball.points - [0, 0, shapes.TABLE + 0.05])
+    assert np.sum(normals * ball.normals, axis=1).min() > 0.99
+
+
+def test_neighbourhood_radius_holds_the_wanted_number() -> None:
+    points = np.random.default_rng(0).uniform(0, 0.2, (8000, 3)) * [1, 1, 0]
+    radius = neighbourhood_radius(points, np.random.default_rng(1), neighbours=25, low=0.0, high=1.0)
+    assert radius == pytest.approx(np.sqrt(25 / (np.pi * 8000 / 0.04)), rel=0.1)
+
+
+def test_support_plane_of_a_table_under_a_box() -> None:
+    plane = fit_support_plane(shapes.single_view(shapes.box(0.06, 0.1, 0.12)), np.random.default_rng(0))
+    assert plane is not None
+    assert plane.offset == pytest.approx(0.75, abs=5e-4)
+    assert plane.normal == pytest.approx((0, 0, 1), abs=2e-3)
+
+
+def test_support_plane_that_is_not_quite_level() -> None:
+    points = shapes.single_view(shapes.box(0.06, 0.1, 0.12))
+    tilt = np.radians(6)
+    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    plane = fit_support_plane(points @ turn.T, np.random.default_rng(0))
+    assert plane is not None
+    assert plane.normal == pytest.approx((np.sin(tilt), 0, np.cos(tilt)), abs=2e-3)
+
+
+def test_a_wall_or_a_ball_is_no_support_plane() -> None:
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.zeros(3000), rng.uniform(-1, 1, (3000, 2))])
+    assert fit_support_plane(wall, rng) is None
+    assert fit_support_plane(rng.normal(size=(3000, 3)), rng) is None
+    assert fit_support_plane(wall[:20], rng) is None
