@@ -1,7 +1,8 @@
 """Which space beside the objects the camera could not see into.
 
 Without the camera's position, the support plane tells: where the plane itself was seen, the space above it is free up
-to the camera; where neither the plane nor an object was seen, some object throws its shadow, and something may hide there.
+to the camera; where neither the plane nor an object was seen, some object throws its shadow, and something may hide
+there.
 """
 
 from __future__ import annotations

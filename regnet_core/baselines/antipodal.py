@@ -2,8 +2,8 @@
 
 Surface points are drawn as seeds. Around a seed, approach directions are sampled about the inward normal and
 straight down, closing directions in the local frame of the surface, and insertion depths. The surface's profile along
-the closing direction (ops/jaw_profile.py) then says what the jaw would close on, where the fingers have room, and how well
-the two contacts oppose each other: s_q = cos(alpha_i) cos(alpha_j).
+the closing direction (ops/jaw_profile.py) then says what the jaw would close on, where the fingers have room, and how
+well the two contacts oppose each other: s_q = cos(alpha_i) cos(alpha_j).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 class AntipodalConfig:
     """How densely and how widely candidates are sampled."""
 
-    seeds: int = 1500
+    seeds: int = 3000
     """Surface points from which grasps are sampled, for each of the two ways of choosing a closing direction."""
     rolls: int = 4
     """Closing directions about the approach of a surface seed."""

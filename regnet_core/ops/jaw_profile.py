@@ -1,8 +1,8 @@
 """Where a jaw would close: the profile of a surface along the closing direction of many candidate grasps.
 
 For each candidate the surface points in the slab between palm and fingertips are binned along Y. The run of occupied
-bins at y = 0 is the thing to be grasped; the empty runs on both sides are where fingers fit; the points at its two ends are
-the contacts.
+bins at y = 0 is the thing to be grasped; the empty runs on both sides are where fingers fit; the points at its two ends
+are the contacts.
 """
 
 from __future__ import annotations
