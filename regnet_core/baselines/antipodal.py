@@ -52,6 +52,8 @@ class AntipodalConfig:
     """Quality is multiplied by this where a finger goes down entirely in space that the camera could not see."""
     table_clearance: float = 0.004
     """Fingertips stay this far above the support plane [m]."""
+    min_quality: float = 0.3
+    """Candidates expected to be worse are not proposed: where the fingers' side was not seen, most of them collide."""
 
 
 class Candidates(NamedTuple):
@@ -136,7 +138,8 @@ class AntipodalSampler:
         width = np.minimum(extent[good] + 2 * side, gripper.width)
         antipodal = (profile.cos_low * profile.cos_high)[good]
         grasps = Grasps.from_poses(rotation, translation, width, antipodal, profile.evidence[good])
-        return replace(grasps, quality=antipodal * self._certainty(grasps, side, gripper, ground))
+        expected = antipodal * self._certainty(grasps, side, gripper, ground)
+        return replace(grasps, quality=expected)[expected >= cfg.min_quality]
 
     def _certainty(self, grasps: Grasps, side: Array, gripper: Gripper, ground: UnseenGround | None) -> Array:
         """(M,) in (0, 1]: how sure the sampler is that the fingers fit where it puts them."""
