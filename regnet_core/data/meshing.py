@@ -1,0 +1,84 @@
+"""Mesh-building operations that the shape families share."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+SECTIONS = 40
+"""Sides of a revolved shape: a face normal is at most 4.5 degrees off the smooth surface's."""
+
+
+def revolve(profile: ArrayLike, sections: int = SECTIONS) -> trimesh.Trimesh:
+    """Revolves a profile about z.
+
+    Args:
+        profile: (P, 2) radius and height [m], from the bottom of the axis outwards and back to the axis; the first and
+            the last radius must be 0 so that the solid is closed.
+        sections: number of sides.
+    """
+    points = np.asarray(profile, dtype=np.float64)
+    if points[0, 0] != 0.0 or points[-1, 0] != 0.0:
+        raise ValueError(f"a profile starts and ends on the axis (radius 0), got {points[0, 0]} and {points[-1, 0]}")
+    return trimesh.creation.revolve(points, sections=sections)
+
+
+def sweep(path: NDArray[np.float64], radii: NDArray[np.float64], sections: int = 20) -> trimesh.Trimesh:
+    """A tube of changing radius along a path in the x-y plane, closed by flat caps.
+
+    Args:
+        path: (P, 3) points with z = 0 [m].
+        radii: (P,) radius of the tube at each point [m], all positive.
+        sections: corners of the cross-section.
+    """
+    tangents = np.gradient(path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    sideways = np.cross([0.0, 0.0, 1.0], tangents)  # (P, 3)
+    angle = np.linspace(0.0, 2.0 * np.pi, sections, endpoint=False)
+    ring = np.cos(angle)[None, :, None] * sideways[:, None, :] + np.sin(angle)[None, :, None] * np.array(
+        [0.0, 0.0, 1.0]
+    )
+    rings = path[:, None, :] + radii[:, None, None] * ring  # (P, sections, 3)
+    vertices = np.concatenate([rings.reshape(-1, 3), path[:1], path[-1:]])
+    return _closed(trimesh.Trimesh(vertices, _tube_faces(len(path), sections), process=False))
+
+
+def _tube_faces(rings: int, sections: int) -> NDArray[np.int64]:
+    """Triangles (F, 3) of a grid of rings, with a fan at each end; the two fan centres are the last two vertices."""
+    start = np.arange(rings - 1)[:, None] * sections
+    here = np.arange(sections)[None, :]
+    after = (here + 1) % sections
+    a, b = start + here, start + after
+    c, d = a + sections, b + sections
+    sides = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+    last = (rings - 1) * sections
+    first_centre, last_centre = rings * sections, rings * sections + 1
+    here, after = here[0], after[0]
+    fans = [
+        np.stack([np.full(sections, first_centre), after, here], -1),
+        np.stack([np.full(sections, last_centre), last + here, last + after], -1),
+    ]
+    return np.concatenate([sides, *fans])
+
+
+def globe(sections: int = 3) -> trimesh.Trimesh:
+    """A unit sphere of nearly equal triangles, to be deformed by moving its vertices."""
+    return trimesh.creation.icosphere(subdivisions=sections)
+
+
+def union(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """The boolean union of watertight parts (manifold3d)."""
+    return trimesh.boolean.union(list(parts), engine="manifold")
+
+
+def difference(solid: trimesh.Trimesh, cut: trimesh.Trimesh) -> trimesh.Trimesh:
+    """`solid` without `cut` (manifold3d)."""
+    return trimesh.boolean.difference([solid, cut], engine="manifold")
+
+
+def _closed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with its faces pointing outwards."""
+    if mesh.volume < 0.0:
+        mesh.invert()
+    return mesh
