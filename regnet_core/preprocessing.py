@@ -1,0 +1,116 @@
+"""From a camera's cloud to what a detector works on: clean, in a gravity-aligned frame, cropped, thinned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from regnet_core.errors import InvalidInputError
+from regnet_core.geometry import Array, Box, Plane, transform_points
+from regnet_core.pointcloud import Index, crop, fit_support_plane, random_sample, validate_points, voxel_downsample
+from regnet_core.report import StepRecorder, StepReport
+
+
+@dataclass(frozen=True)
+class PreprocessingConfig:
+    """What to keep of a cloud.
+
+    Raises:
+        InvalidInputError: a value makes no sense.
+    """
+
+    workspace: Box | None = None
+    """Points outside are dropped; in the target frame [m]. None keeps all."""
+    voxel_size: float = 0.0
+    """Edge length of the voxels of which one point each is kept [m]; 0 keeps all points."""
+    max_points: int = 0
+    """Most points to keep, drawn at random; 0 keeps all."""
+    seed: int = 0
+    """Of the random draw and of the plane's fit: the same cloud gives the same result."""
+    support_plane: bool = True
+    """Whether to look for the plane that the objects stand on."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.voxel_size < np.inf:
+            raise InvalidInputError(
+                f"voxel_size must be 0 (off) or a positive number of metres, got {self.voxel_size:g}"
+            )
+        if self.max_points < 0:
+            raise InvalidInputError(f"max_points must be 0 (off) or positive, got {self.max_points}")
+
+
+@dataclass(frozen=True)
+class Preprocessed:
+    """The prepared cloud, in the target frame."""
+
+    points: Array
+    """(N, 3) finite coordinates [m]."""
+    colors: npt.NDArray[np.uint8] | None
+    """(N, 3), where the input had colours."""
+    plane: Plane | None
+    """The support plane, if one was looked for and found."""
+    steps: tuple[StepReport, ...]
+    """What each step kept and rejected."""
+    reason: str
+    """Why no point is left, as a sentence; empty when some are."""
+
+
+def preprocess(
+    points: npt.ArrayLike,
+    colors: npt.NDArray[np.uint8] | None,
+    T_target_source: npt.ArrayLike,
+    config: PreprocessingConfig | None = None,
+) -> Preprocessed:
+    """Prepare one cloud.
+
+    Args:
+        points: (M, 3) in the camera's frame [m]; NaN and infinite rows are dropped.
+        colors: (M, 3) uint8, or None.
+        T_target_source: (4, 4), the pose of the camera's frame in the gravity-aligned target frame.
+        config: what to keep.
+
+    Raises:
+        CloudError: the points are not an (M, 3) array of numbers.
+    """
+    config = config or PreprocessingConfig()
+    rng, recorder = np.random.default_rng(config.seed), StepRecorder()
+    with recorder.step("valid points") as step:
+        valid, index = validate_points(points)
+        step.kept, step.rejected = len(valid), len(np.asarray(points)) - len(valid)
+    with recorder.step("transform") as step:
+        moved = transform_points(T_target_source, valid)
+        step.kept = len(moved)
+    with recorder.step("workspace") as step:
+        inside = np.arange(len(moved)) if config.workspace is None else crop(moved, config.workspace)
+        step.kept, step.rejected = len(inside), len(moved) - len(inside)
+    with recorder.step("down-sampling") as step:
+        kept = inside[_thinned(moved[inside], config, rng)]
+        step.kept, step.rejected = len(kept), len(inside) - len(kept)
+    result, plane = moved[kept], None
+    if config.support_plane:
+        with recorder.step("support plane") as step:
+            plane = fit_support_plane(result, rng)
+            step.kept = int(plane is not None)
+    chosen = None if colors is None else np.asarray(colors)[index[kept]]
+    return Preprocessed(result, chosen, plane, tuple(recorder.steps), _reason(recorder.steps, config))
+
+
+def _thinned(points: Array, config: PreprocessingConfig, rng: np.random.Generator) -> Index:
+    kept = voxel_downsample(points, config.voxel_size) if config.voxel_size > 0.0 else np.arange(len(points))
+    return kept[random_sample(len(kept), config.max_points, rng)] if config.max_points > 0 else kept
+
+
+def _reason(steps: list[StepReport], config: PreprocessingConfig) -> str:
+    valid, workspace = steps[0], steps[2]
+    if valid.kept + valid.rejected == 0:
+        return "the cloud has no points: check that the camera sees something within its range"
+    if valid.kept == 0:
+        return f"none of the cloud's {valid.rejected} points is a finite position within 1000 m of the sensor"
+    if workspace.kept == 0 and config.workspace is not None:
+        return (
+            f"all {workspace.rejected} valid points lie outside the workspace {config.workspace.lower} to "
+            f"{config.workspace.upper} m: check its limits and the transform of the camera"
+        )
+    return ""
