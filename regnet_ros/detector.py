@@ -1,0 +1,159 @@
+"""The node `detector`: from a cloud in a gravity-aligned frame to ranked grasps."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from regnet_msgs.msg import GraspArray
+from regnet_msgs.srv import DetectGrasps
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from regnet_core.detector import Detection, DetectorConfig, GraspDetector
+from regnet_core.errors import CloudError, InvalidInputError
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+from regnet_core.report import DetectionReport
+from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from_message, pose_array
+from regnet_ros.node import GraspNode
+from regnet_ros.process import run
+from regnet_ros.settings import DetectorParameters
+from regnet_ros.visuals import grasp_markers
+from regnet_ros.warm_up import made_up_cloud
+
+
+class _Again(NamedTuple):
+    """The last cloud, to be worked on with changed parameters."""
+
+    cloud: PointCloud2
+
+
+class Detector(GraspNode[DetectorParameters]):
+    """`cloud` -> `grasps`, `grasp_poses`, `grasp_markers`; service `detect_grasps`."""
+
+    table = DetectorParameters
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._built: tuple[tuple[object, ...], GraspDetector] | None = None
+        self._last_cloud: PointCloud2 | None = None
+        super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
+
+    def configure(self) -> None:
+        """Make the detector ready to run, then create the topics and the service."""
+        detector, settings = self._detector_for(self.settings), self.settings
+        if settings.warm_up:
+            with self.busy:
+                start = time.perf_counter()
+                detector.detect(made_up_cloud(), settings.gripper)
+                self.get_logger().info(f"warm-up took {time.perf_counter() - start:.1f} s")
+        self._grasps = self.add_publisher(GraspArray, "grasps")
+        self._poses = self.add_publisher(PoseArray, "grasp_poses")
+        self._markers = self.add_publisher(MarkerArray, "grasp_markers")
+        self.add_service(DetectGrasps, "detect_grasps", self._on_detect)
+        source = self.add_input(PointCloud2, "cloud", settings.input_reliability)
+        self.health.awaits = lambda: f"clouds on {source.description}"
+        self.at_cleanup(self._forget)
+
+    def check_settings(self, proposed: DetectorParameters) -> None:
+        """Refuse a model or device that cannot be had."""
+        self._detector_for(proposed)
+
+    def settings_changed(self, old: DetectorParameters) -> None:
+        """Detect again in the last cloud, where that is wanted."""
+        if self.settings.redetect_on_change and self._last_cloud is not None and not self.settings.same_result(old):
+            self.repeat(_Again(self._last_cloud))
+
+    def work(self, item: PointCloud2 | _Again) -> None:
+        """Find grasps in one cloud; whatever the cloud is like, one GraspArray is published."""
+        cloud = item.cloud if isinstance(item, _Again) else item
+        self._last_cloud = cloud
+        settings, start = self.settings, time.perf_counter()
+        try:
+            detection, seconds = self._detect(cloud, settings, settings.gripper)
+        except InvalidInputError as error:
+            self._publish(cloud.header, self._nothing(settings, str(error)), settings.max_markers)
+            raise
+        found = time.perf_counter()
+        self._publish(cloud.header, detection, settings.max_markers)
+        end = time.perf_counter()
+        report = detection.report
+        self.done(
+            {"convert": seconds, "detect": report.total_seconds, "publish": end - found, "total": end - start},
+            report.steps,
+            {"grasps": len(detection.grasps)},
+            report.reason,
+        )
+
+    def _detect(self, cloud: PointCloud2, settings: DetectorParameters, gripper: Gripper) -> tuple[Detection, float]:
+        """The detection, and the seconds that decoding the message took."""
+        _check_frame(cloud.header, settings.target_frame)
+        start = time.perf_counter()
+        decoded = cloud_from_message(cloud)
+        seconds = time.perf_counter() - start
+        viewpoint = np.array(settings.viewpoint) if settings.viewpoint else None
+        with self.busy:
+            detection = self._detector_for(settings).detect(
+                decoded.points, gripper, decoded.colors, filters=settings.filters, viewpoint=viewpoint
+            )
+        return detection, seconds
+
+    def _publish(self, header: Header, detection: Detection, max_markers: int) -> None:
+        self._grasps.publish(grasp_array(header, detection.grasps, detection.gripper, detection.report))
+        self._poses.publish(pose_array(header, detection.grasps))
+        self._markers.publish(grasp_markers(header, detection.grasps, detection.gripper, max_markers))
+
+    def _on_detect(self, request: DetectGrasps.Request, response: DetectGrasps.Response) -> DetectGrasps.Response:
+        settings = self.settings
+        if not self.active:
+            response.message = f"the detector is {self.state_label}; it answers once it is activated"
+            return response
+        try:
+            gripper = gripper_from_message(request.gripper) if request.use_gripper else settings.gripper
+            detection, _ = self._detect(request.cloud, settings, gripper)
+        except InvalidInputError as error:
+            response.message = str(error)
+            return response
+        response.success = True
+        response.grasps = grasp_array(request.cloud.header, detection.grasps, detection.gripper, detection.report)
+        return response
+
+    def _detector_for(self, settings: DetectorParameters) -> GraspDetector:
+        key = (settings.model, settings.device, settings.seed, settings.max_grasps)
+        built = self._built
+        if built is None or built[0] != key:
+            config = DetectorConfig(max_grasps=settings.max_grasps)
+            built = key, GraspDetector(settings.model, settings.device, settings.seed, config)
+            self._built = built
+        return built[1]
+
+    def _nothing(self, settings: DetectorParameters, reason: str) -> Detection:
+        report = DetectionReport((), settings.model, settings.device, reason)
+        return Detection(Grasps.empty(), report, settings.gripper, None)
+
+    def _forget(self) -> None:
+        self._last_cloud = None
+
+
+def _check_frame(header: Header, target_frame: str) -> None:
+    frame = header.frame_id.lstrip("/")
+    if not frame:
+        raise CloudError("the cloud has no frame_id: name the gravity-aligned frame (z up) that its points are in")
+    if target_frame and frame != target_frame.lstrip("/"):
+        raise CloudError(
+            f"the cloud is in frame '{frame}', but the parameter target_frame asks for '{target_frame}': let the "
+            "preprocessor transform it, or change target_frame"
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the exit code of the process."""
+    return run(Detector, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

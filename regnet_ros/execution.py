@@ -1,0 +1,140 @@
+"""Sending selected grasps to the robot by the action `execute_grasp`; when one does not work, the next."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from regnet_msgs.action import ExecuteGrasp
+from regnet_msgs.msg import GraspArray, SelectedGrasp
+
+from regnet_core.grasps import Grasps
+
+ACTION = "execute_grasp"
+
+
+class Candidates(NamedTuple):
+    """The grasps to select from."""
+
+    message: GraspArray
+    grasps: Grasps
+    """Those of the message, in the same order."""
+
+
+class Execution:
+    """One execution at a time, over as many grasps of one array as are allowed."""
+
+    def __init__(
+        self,
+        node: Node,
+        group: CallbackGroup,
+        choose: Callable[[Candidates, frozenset[int]], SelectedGrasp | None],
+        settled: Callable[[str], None],
+        given_up: Callable[[str], None],
+    ) -> None:
+        """Make the client of the action.
+
+        Args:
+            node: the node that the client belongs to.
+            group: callback group of the client.
+            choose: selects (and announces) a grasp, the ranks in the set left out; None when none is left.
+            settled: called with a sentence when a grasp was executed.
+            given_up: called with a sentence when no grasp of an array could be executed.
+        """
+        self._logger = node.get_logger()
+        self._name = node.resolve_service_name(ACTION)
+        self._client = ActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
+        self._choose, self._settled, self._given_up = choose, settled, given_up
+        self._lock = threading.RLock()
+        self._run = 0
+        """Number of the execution under way; answers that belong to an earlier one are ignored."""
+        self._candidates: Candidates | None = None
+        self._failed: list[int] = []
+        self._allowed = 0
+        self._goal: Any = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a grasp is being executed. An executor that has gone ends its execution."""
+        with self._lock:
+            if self._candidates is not None and not self._client.server_is_ready():
+                self._give_up(f"the action server {self._name} went away during the execution")
+            return self._candidates is not None
+
+    def start(self, candidates: Candidates, first: SelectedGrasp, attempts: int) -> None:
+        """Send ``first``; when it is rejected or fails, the next choice, over at most ``attempts`` grasps."""
+        with self._lock:
+            self._run += 1
+            self._candidates, self._failed, self._allowed = candidates, [], attempts
+            if not self._client.server_is_ready():
+                self._give_up(
+                    f"'execute' is true, but there is no action server {self._name}: start the robot's executor"
+                )
+                return
+            self._send(first)
+
+    def stop(self) -> None:
+        """Cancel the execution that is under way, if any."""
+        with self._lock:
+            self._run += 1
+            goal, self._goal, self._candidates = self._goal, None, None
+        if goal is not None:
+            goal.cancel_goal_async()
+
+    def destroy(self) -> None:
+        """Release the client."""
+        self.stop()
+        self._client.destroy()
+
+    def _send(self, selected: SelectedGrasp) -> None:
+        run, rank = self._run, int(selected.rank)
+        future = self._client.send_goal_async(ExecuteGrasp.Goal(grasp=selected))
+        future.add_done_callback(lambda done: self._answered(run, rank, done.result()))
+
+    def _answered(self, run: int, rank: int, goal: Any) -> None:
+        with self._lock:
+            if run != self._run:
+                if goal is not None and goal.accepted:  # stopped before the answer came
+                    goal.cancel_goal_async()
+                return
+            if goal is None or not goal.accepted:
+                self._next(rank, "rejected by the executor")
+                return
+            self._goal = goal
+        goal.get_result_async().add_done_callback(lambda done: self._finished(run, rank, done.result()))
+
+    def _finished(self, run: int, rank: int, answer: Any) -> None:
+        with self._lock:
+            if run != self._run:
+                return
+            self._goal = None
+            result = answer.result
+            if answer.status == GoalStatus.STATUS_SUCCEEDED and result.success:
+                self._candidates = None
+                self._settled(f"grasp {rank} was executed: {result.message or result.outcome or 'success'}")
+            else:
+                self._next(rank, result.message or result.outcome or "the executor gave no reason")
+
+    def _next(self, rank: int, why: str) -> None:
+        assert self._candidates is not None
+        self._failed.append(rank)
+        tried = len(self._failed)
+        self._logger.warning(f"grasp {rank} was not executed ({why}); attempt {tried} of {self._allowed}")
+        if tried >= self._allowed:
+            self._give_up(f"gave up after {tried} grasp(s) of this array (max_attempts), the last one: {why}")
+            return
+        following = self._choose(self._candidates, frozenset(self._failed))
+        if following is None:
+            self._give_up(f"no grasp is left after {tried} that were not executed, the last one: {why}")
+            return
+        self._send(following)
+
+    def _give_up(self, why: str) -> None:
+        self._run += 1
+        self._candidates = self._goal = None
+        self._given_up(why)

@@ -1,0 +1,331 @@
+"""The base of the nodes: lifecycle with autostart, parameters, diagnostics, work on the newest input."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, Generic
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+
+from regnet_core.errors import InvalidInputError
+from regnet_core.report import StepReport
+from regnet_ros.health import Health
+from regnet_ros.inputs import OUTPUT_QOS, SensorInput
+from regnet_ros.mailbox import Mailbox
+from regnet_ros.parameters import ParameterStore, Table
+
+_DIAGNOSTICS_PERIOD = 1.0
+_REPEAT_LOG_AFTER = 5.0
+"""A message that stays the same is logged once in so many seconds."""
+
+_SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
+    """A lifecycle node that works on the newest of its inputs and survives whatever comes in.
+
+    A subclass names its ``table`` of parameters and implements ``configure`` (create publishers, subscriptions and
+    services by the ``add_...`` methods) and ``work`` (one input). Callbacks run in several threads: inputs, work,
+    services, parameters and lifecycle each have a callback group, so that parameters answer while a detection runs.
+    """
+
+    table: ClassVar[type]
+    """The parameters: a frozen dataclass derived from ``NodeParameters``."""
+
+    def __init__(self, name: str, *, awaits: str, **kwargs: Any) -> None:
+        """Declare the parameters, then start up by itself unless ``autostart`` is false.
+
+        Args:
+            name: name of the node unless remapped.
+            awaits: what the node needs to have something to do, for the diagnostics.
+            kwargs: of ``rclpy.node.Node``.
+
+        Raises:
+            ParameterError: a parameter that was given is not accepted.
+        """
+        Node.__init__(self, name, **kwargs)
+        self._store: ParameterStore[Table] | None = None
+        self._store = ParameterStore(self, self.table)
+        LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
+        self._transition_lock = threading.Lock()
+        self._active = False
+        self._undo: list[Callable[[], object]] = []
+        self._last_log = ("", 0.0)
+        self.health = Health(awaits=awaits)
+        self.busy = threading.Lock()
+        """Held while regnet_core computes: work and services take turns."""
+        self._working = threading.Lock()
+        self.input_group = MutuallyExclusiveCallbackGroup()
+        self.service_group = MutuallyExclusiveCallbackGroup()
+        self._mailbox: Mailbox[Any] = Mailbox()
+        self._wake = self.create_guard_condition(self._work, callback_group=MutuallyExclusiveCallbackGroup())
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
+        # Steady time: with use_sim_time and no clock, timers on the node's clock would never fire.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self.create_timer(
+            _DIAGNOSTICS_PERIOD, self.publish_diagnostics, MutuallyExclusiveCallbackGroup(), self._steady
+        )
+        self._service_change_state.callback = self._one_at_a_time(self._service_change_state.callback)
+        for service in self.services:
+            service.callback = self._guarded_service(service.callback)
+        if self.settings.autostart:
+            self._starter = self.create_timer(0.0, self._start, MutuallyExclusiveCallbackGroup(), self._steady)
+
+    # -- for subclasses ------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Create what the node needs; called on the configure transition."""
+        raise NotImplementedError
+
+    def work(self, item: Any) -> None:
+        """Work on one input, the newest."""
+        raise NotImplementedError
+
+    def check_settings(self, proposed: Table) -> None:
+        """Refuse settings for reasons that the table cannot know, by raising InvalidInputError."""
+
+    def settings_changed(self, old: Table) -> None:
+        """React to a change of parameters that is already in force."""
+
+    def deactivated(self) -> None:
+        """Stop what is under way; called on the deactivate and shutdown transitions."""
+
+    @property
+    def settings(self) -> Table:
+        """The parameters now in force, as one immutable object."""
+        assert self._store is not None
+        return self._store.current
+
+    @property
+    def active(self) -> bool:
+        """Whether the node is in the lifecycle state active."""
+        return self._active
+
+    @property
+    def state_label(self) -> str:
+        """The lifecycle state."""
+        return str(self._state_machine.current_state[1])
+
+    def add_publisher(self, kind: type, topic: str, qos: QoSProfile = OUTPUT_QOS) -> Any:
+        """A publisher that is silent unless the node is active, until cleanup."""
+        publisher = self.create_lifecycle_publisher(kind, topic, qos)
+        self._undo.append(lambda: self.destroy_lifecycle_publisher(publisher))
+        return publisher
+
+    def add_input(self, kind: type, topic: str, reliability: str) -> SensorInput:
+        """A subscription whose newest message is worked on, until cleanup."""
+        subscription = SensorInput(self, kind, topic, self._guarded(self._receive), self.input_group, reliability)
+        self._undo.append(subscription.destroy)
+        return subscription
+
+    def add_service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        """A service, until cleanup."""
+        service = self.create_service(kind, name, self._guarded_service(callback), callback_group=self.service_group)
+        self._undo.append(lambda: self.destroy_service(service))
+
+    def at_cleanup(self, action: Callable[[], object]) -> None:
+        """Call ``action`` on the cleanup transition."""
+        self._undo.append(action)
+
+    def repeat(self, item: Any) -> None:
+        """Work on an item again, unless a newer one waits."""
+        if self._active and self._mailbox.put_if_empty(item):
+            self._wake.trigger()
+
+    def fail(self, message: str) -> None:
+        """Report something that could not be worked on: in the log and in the diagnostics, at once."""
+        self.health.failed(message)
+        self._log(message)
+        self.publish_diagnostics()
+
+    def done(
+        self,
+        stages: Mapping[str, float],
+        steps: Iterable[StepReport] = (),
+        counts: Mapping[str, int] | None = None,
+        reason: str = "",
+    ) -> None:
+        """Report an input that was worked on (see ``Health.succeeded``); a new reason is published at once."""
+        if self.health.succeeded(stages, steps, counts, reason):
+            self.publish_diagnostics()
+
+    def crash(self, error: Exception, doing: str) -> None:
+        """Report an exception that nobody expected; the node goes on."""
+        if not self.context.ok():
+            return  # shutting down: handles vanish under running callbacks
+        self._log("".join(traceback.format_exception(error)))
+        self.fail(
+            f"unexpected {type(error).__name__} {doing}: {error}. The node goes on with the next input; this is a "
+            "defect of the node: please report it with the input that caused it"
+        )
+
+    def publish_diagnostics(self) -> None:
+        """Publish the state of the node's health."""
+        if not self.context.ok():
+            return
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        name = self.get_fully_qualified_name()
+        message.status = [self.health.status(name, self.state_label, self.settings.stale_after)]
+        self._diagnostics.publish(message)
+
+    def wait_until_idle(self, timeout: float) -> bool:
+        """Wait for work and services to end, at most ``timeout`` [s] each; whether they did."""
+        for lock in (self._working, self.busy):
+            if not lock.acquire(timeout=timeout):
+                return False
+            lock.release()
+        return True
+
+    # -- input and work ------------------------------------------------------------------------------------------
+
+    def _receive(self, message: Any) -> None:
+        if not self._active:
+            return
+        self.health.received()
+        if self._mailbox.put(message):
+            self.health.dropped()
+        self._wake.trigger()
+
+    def _work(self) -> None:
+        while self._active and self.context.ok() and (item := self._mailbox.take()) is not None:
+            try:
+                with self._working:
+                    self.work(item)
+            except InvalidInputError as error:
+                self.fail(str(error))
+            except Exception as error:
+                self.crash(error, "while working on an input")
+
+    # -- parameters ----------------------------------------------------------------------------------------------
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """Set parameters one by one (rclpy's method, with our checks)."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set all the parameters or none (rclpy's method, with our checks and their messages)."""
+        if self._store is None:
+            return super().set_parameters_atomically(parameter_list)
+        try:
+            vetted, proposed = self._store.vet(parameter_list)
+            self.check_settings(proposed)
+        except InvalidInputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        result = super().set_parameters_atomically(vetted)
+        if result.successful:
+            old = self._store.current
+            self._store.adopt(proposed)
+            self.settings_changed(old)
+        return result
+
+    # -- lifecycle -----------------------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        self._starter.cancel()
+        with self._transition_lock:
+            if self.state_label == "unconfigured" and self.trigger_configure() == _SUCCESS:
+                self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Create what the node needs (rclpy's hook)."""
+        try:
+            self.configure()
+        except Exception as error:
+            self._tear_down()
+            if isinstance(error, InvalidInputError):
+                self.fail(f"cannot configure: {error}")
+            else:
+                self.crash(error, "while configuring")
+            return _FAILURE
+        self.health.recovered()
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work (rclpy's hook)."""
+        result = super().on_activate(state)
+        self._active = result == _SUCCESS
+        self.get_logger().info(f"active, waiting for {self.health.awaits()}")
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working (rclpy's hook)."""
+        self._stop()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release what ``configure`` created (rclpy's hook)."""
+        self._tear_down()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop for good (rclpy's hook)."""
+        self._stop()
+        self._tear_down()
+        return super().on_shutdown(state)
+
+    def _stop(self) -> None:
+        self._active = False
+        self._mailbox.take()
+        self.deactivated()
+
+    def _tear_down(self) -> None:
+        with self._working:  # not under the feet of the work on the last input
+            while self._undo:
+                self._undo.pop()()
+
+    # -- callbacks that do not let an exception out ----------------------------------------------------------------
+
+    def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        def call(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:
+                self.crash(error, "while receiving")
+
+        return call
+
+    def _guarded_service(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def call(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                self.crash(error, f"while answering a {type(request).__name__}")
+                return response
+
+        return call
+
+    def _one_at_a_time(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def call(request: Any, response: Any) -> Any:
+            if not self._transition_lock.acquire(blocking=False):
+                self.get_logger().warning("a transition was refused because another one is under way; try again")
+                response.success = False
+                return response
+            try:
+                return callback(request, response)
+            except RCLError:
+                wanted = request.transition.label or request.transition.id
+                self.get_logger().warning(f"transition {wanted} is not possible in the state {self.state_label}")
+                response.success = False
+                return response
+            finally:
+                self._transition_lock.release()
+
+        return call
+
+    def _log(self, message: str) -> None:
+        now = time.monotonic()
+        if message != self._last_log[0] or now - self._last_log[1] > _REPEAT_LOG_AFTER:
+            self._last_log = (message, now)
+            self.get_logger().error(message)

@@ -1,0 +1,79 @@
+"""The node `preprocessor`: from a camera's cloud to the one that the detector works on."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
+
+from regnet_core.preprocessing import preprocess
+from regnet_ros.conversions import cloud_from_message, cloud_to_message
+from regnet_ros.frames import SensorFrames
+from regnet_ros.inputs import LATCHED_QOS
+from regnet_ros.node import GraspNode
+from regnet_ros.process import run
+from regnet_ros.settings import PreprocessorParameters
+from regnet_ros.visuals import plane_marker
+
+ZERO_STAMP = (
+    "the cloud's stamp is zero: its results cannot be matched with transforms or other data; set it in the driver"
+)
+
+
+class Preprocessor(GraspNode[PreprocessorParameters]):
+    """`points` -> valid points in `target_frame`, cropped and thinned -> `cloud`, and the plane -> `support_plane`."""
+
+    table = PreprocessorParameters
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("preprocessor", awaits="clouds on the topic 'points'", **kwargs)
+
+    def configure(self) -> None:
+        """Create the topics."""
+        self._frames = SensorFrames(self)
+        self.at_cleanup(self._frames.close)
+        self._cloud = self.add_publisher(PointCloud2, "cloud")
+        self._plane = self.add_publisher(Marker, "support_plane", LATCHED_QOS)
+        source = self.add_input(PointCloud2, "points", self.settings.input_reliability)
+        self.health.awaits = lambda: f"clouds on {source.description}"
+
+    def work(self, item: PointCloud2) -> None:
+        """Prepare one cloud."""
+        settings, start = self.settings, time.perf_counter()
+        decoded = cloud_from_message(item)
+        T_target_cloud = self._frames.pose(
+            item.header, settings.target_frame, settings.sensor_pose, settings.transform_patience
+        )
+        converted = time.perf_counter()
+        with self.busy:
+            result = preprocess(decoded.points, decoded.colors, T_target_cloud, settings.config)
+        prepared = time.perf_counter()
+        header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
+        self._cloud.publish(cloud_to_message(header, result.points, result.colors))
+        self._plane.publish(plane_marker(header, result.plane, result.points))
+        end = time.perf_counter()
+        unstamped = item.header.stamp.sec == 0 and item.header.stamp.nanosec == 0
+        self.done(
+            {
+                "convert": converted - start,
+                "prepare": prepared - converted,
+                "publish": end - prepared,
+                "total": end - start,
+            },
+            result.steps,
+            {"points": len(result.points)},
+            result.reason or (ZERO_STAMP if unstamped else ""),
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the exit code of the process."""
+    return run(Preprocessor, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""Running one node as a process: signals, exit codes, threads."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+
+from regnet_core.errors import InvalidInputError
+from regnet_ros.node import GraspNode
+
+_THREADS = 8
+"""One for each callback group; idle ones cost nothing."""
+_PATIENCE = 3.0
+"""How long a running computation may go on after a signal [s]; launch kills after 5 s."""
+
+
+def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -> int:
+    """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
+    # rclpy's own handlers shut the context down and call these. Python's would raise KeyboardInterrupt wherever it
+    # strikes; a signal that comes before rclpy is ready is remembered.
+    stops: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: stops.append(received))
+    try:
+        rclpy.init(args=None if args is None else list(args))
+    except RCLError as error:
+        return _refuse(
+            f"{error}\nIn a list parameter write every number with a decimal point: [0.0, 1.0], not [0, 1.0]"
+        )
+    try:
+        node = make_node()
+    except (InvalidInputError, ParameterException) as error:
+        rclpy.try_shutdown()
+        return _refuse(str(error))
+    if not stops:
+        _spin(node)
+    finished = node.wait_until_idle(_PATIENCE / 2)
+    with contextlib.suppress(RCLError, InvalidHandle):
+        node.destroy_node()
+    rclpy.try_shutdown()
+    if not finished:  # a computation hangs on to its thread, and Python would wait for it
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
+    return 0
+
+
+def _spin(node: GraspNode) -> None:
+    executor = MultiThreadedExecutor(num_threads=_THREADS)
+    executor.add_node(node)
+    while node.context.ok():
+        try:
+            executor.spin_once()
+        except ExternalShutdownException:
+            break
+        except InvalidHandle:  # an entity was destroyed by a cleanup while the executor looked at it
+            continue
+        except Exception as error:
+            node.crash(error, "in the executor")
+    with contextlib.suppress(RCLError, InvalidHandle):
+        executor.shutdown(timeout_sec=0.0)
+
+
+def _refuse(message: str) -> int:
+    print(f"cannot start: {message}", file=sys.stderr)
+    return 2

@@ -1,0 +1,67 @@
+"""Writes the tables of the nodes' parameters into README.md, between the markers that name each node.
+
+python tools/parameter_tables.py [--check]
+"""
+
+import argparse
+import dataclasses
+import re
+import sys
+from pathlib import Path
+
+from regnet_ros.parameters import NodeParameters, rules
+from regnet_ros.settings import DetectorParameters, PreprocessorParameters, SelectorParameters
+
+README = Path(__file__).resolve().parent.parent / "README.md"
+TABLES: dict[str, type[NodeParameters]] = {
+    "preprocessor": PreprocessorParameters,
+    "detector": DetectorParameters,
+    "selector": SelectorParameters,
+}
+
+
+def main() -> int:
+    """Update the README, or with --check only say whether it is up to date."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="change nothing; exit with 1 if something is outdated")
+    check = parser.parse_args().check
+    old = README.read_text(encoding="utf-8")
+    new = with_tables(old)
+    if check:
+        return int(old != new)
+    README.write_text(new, encoding="utf-8")
+    return 0
+
+
+def with_tables(text: str) -> str:
+    """The README's text with every table as the code has it."""
+    for node, table in TABLES.items():
+        begin, end = f"<!-- parameters of {node} -->", f"<!-- end of {node} -->"
+        if begin not in text or end not in text:
+            raise SystemExit(f"README.md lacks the markers '{begin}' and '{end}'")
+        text = re.sub(
+            re.escape(begin) + ".*?" + re.escape(end), lambda _: f"{begin}\n{markdown(table)}\n{end}", text, flags=re.S
+        )
+    return text
+
+
+def markdown(table: type[NodeParameters]) -> str:
+    """One row for each parameter: name, default, accepted values, description."""
+    rows = ["| parameter | default | accepted | meaning |", "|---|---|---|---|"]
+    defaults = {field.name: field.default for field in dataclasses.fields(table)}
+    for name, rule in rules(table).items():
+        accepted = rule.constraints + (" (fixed at start)" if rule.read_only else "")
+        rows.append(f"| `{name}` | {_default(defaults[name])} | {accepted.strip()} | {rule.description} |")
+    return "\n".join(rows)
+
+
+def _default(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"`[{', '.join(f'{v:g}' for v in value)}]`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value!r}`" if value == "" else f"`{value}`"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
