@@ -189,8 +189,10 @@ def _reason(report: DetectionReport, scene: Scene, gripper: Gripper) -> str:
         return f"none of the {steps['valid points'].kept} valid points lies in the workspace"
     if "proposals" not in steps:
         found = steps["points on objects"].kept
-        where = "above the support plane" if scene.plane is not None else "in the cloud (no support plane was found)"
-        return f"only {found} usable points {where}; at least {_MIN_POINTS} are needed"
+        where = "above the support plane" if scene.plane is not None else "in the cloud, and no support plane in it"
+        if found == 0:
+            return f"there is no surface {where}: isolated points do not count"
+        return f"there are only {found} points on surfaces {where}; at least {_MIN_POINTS} are needed"
     proposals = steps["proposals"]
     if proposals.kept == 0:
         return (

@@ -20,6 +20,10 @@ MAX_COORDINATE = 1000.0
 """Points farther than this from the frame's origin along an axis [m] are dropped as invalid."""
 
 
+_LARGE = 0.1
+"""A level surface of this area [m2] carries objects rather than being the top of one."""
+
+
 class ValidPoints(NamedTuple):
     """The usable points of a cloud."""
 
@@ -127,9 +131,13 @@ def fit_support_plane(
     *,
     max_tilt: float = math.radians(15),
     tolerance: float = 0.008,
-    min_share: float = 0.08,
+    min_share: float = 0.05,
 ) -> Plane | None:
-    """The plane that objects stand on: the largest nearly horizontal one with little below it, or None.
+    """The plane that objects stand on, or None.
+
+    Of several large, nearly horizontal planes it is the highest: a table rather than the floor beside it. A plane
+    counts as large from 0.1 m2 on, more than the top of an object that can be grasped. Where none is large, it is the
+    one with the most points, unless more lie below it than on it.
 
     Args:
         points: (N, 3) in a gravity-aligned frame, z up [m].
@@ -140,25 +148,69 @@ def fit_support_plane(
     """
     if len(points) < 50:
         return None
-    probe = points[random_sample(len(points), 1500, rng)]
-    a, b, c = (probe[rng.integers(len(probe), size=400)] for _ in range(3))
+    sample = points[random_sample(len(points), 6000, rng)]
+    planes = _horizontal_planes(sample, rng, max_tilt, tolerance, min_share)
+    if not planes:
+        return None
+    large = [p for p in planes if _area(sample[np.abs(p.height(sample)) < tolerance]) >= _LARGE]
+    middle = sample.mean(axis=0)
+    chosen = min(large, key=lambda plane: float(plane.height(middle)), default=planes[0])
+    height = chosen.height(sample)
+    if not large and (height < -3 * tolerance).sum() > (np.abs(height) < tolerance).sum():
+        return None
+    return _refined(points, chosen, tolerance)
+
+
+def _horizontal_planes(
+    points: Array, rng: np.random.Generator, max_tilt: float, tolerance: float, min_share: float, most: int = 4
+) -> list[Plane]:
+    """Planes with enough points, those with the most first; each point counts for one of them."""
+    probe = points[:: max(1, len(points) // 1500)]
+    left = probe[np.argsort(probe[:, 2], kind="stable")]
+    planes: list[Plane] = []
+    while len(planes) < most and len(left) >= min_share * len(probe):
+        plane = _best_plane(left, rng, max_tilt, tolerance)
+        if plane is None or (np.abs(plane.height(left)) < tolerance).sum() < min_share * len(probe):
+            break
+        left = left[np.abs(plane.height(left)) >= 2 * tolerance]
+        plane = _refined(points, plane, tolerance)
+        if _is_flat(plane.height(points), tolerance):
+            planes.append(plane)
+    return planes
+
+
+def _best_plane(points: Array, rng: np.random.Generator, max_tilt: float, tolerance: float) -> Plane | None:
+    """The plane through three of the points (N, 3), which ascend in z, with the most points near it."""
+    count = len(points)
+    if count < 3:
+        return None
+    # Points of similar height often share a horizontal plane; a tilted one needs triples from everywhere.
+    first = rng.integers(count, size=400)
+    reach = np.where(np.arange(400) % 4 == 0, count, max(3, count // 12))
+    step = np.round(rng.uniform(-1, 1, (400, 2)) * reach[:, None]).astype(np.int64)
+    others = (first[:, None] + step).clip(0, count - 1)
+    a, b, c = points[first], points[others[:, 0]], points[others[:, 1]]
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
     usable = (length > 1e-5) & (np.abs(normal[:, 2]) > math.cos(max_tilt) * length)
     if not usable.any():
         return None
     normal, a = normalised(normal[usable]) * np.sign(normal[usable, 2:]), a[usable]
-    distance = probe @ normal.T - np.sum(normal * a, axis=1)
-    votes = (np.abs(distance) < tolerance).sum(axis=0)
-    below = (distance < -3 * tolerance).sum(axis=0)
-    best = int(np.argmax(votes - below))
-    if votes[best] < min_share * len(probe) or below[best] > votes[best]:
-        return None
-    plane = _refined(points, Plane(tuple(normal[best]), float(normal[best] @ a[best])), tolerance)
-    residual = plane.height(points)
-    residual = residual[np.abs(residual) < tolerance]
-    # Points that fill the whole slab evenly, as those of a round object do, have 0.58 of the tolerance.
-    return plane if len(residual) and np.sqrt(np.mean(residual**2)) < 0.45 * tolerance else None
+    offset = np.sum(normal * a, axis=1)
+    best = int(np.argmax((np.abs(points @ normal.T - offset) < tolerance).sum(axis=0)))
+    return Plane((float(normal[best, 0]), float(normal[best, 1]), float(normal[best, 2])), float(offset[best]))
+
+
+def _is_flat(height: Array, tolerance: float) -> bool:
+    """Whether the points near a plane gather at it; those of a round object fill the slab and have 0.58 of its half."""
+    near = height[np.abs(height) < tolerance]
+    return len(near) > 0 and float(np.sqrt(np.mean(near**2))) < 0.45 * tolerance
+
+
+def _area(points: Array, cell: float = 0.03) -> float:
+    """Area of the squares of a horizontal grid that points (N, 3) fall into [m2]."""
+    column, row = np.floor(points[:, :2] / cell).astype(np.int64).T
+    return cell * cell * len(np.unique(column * 1_000_003 + row))
 
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:

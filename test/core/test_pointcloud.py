@@ -107,3 +107,24 @@ def test_a_wall_or_a_ball_is_no_support_plane() -> None:
     assert fit_support_plane(wall, rng) is None
     assert fit_support_plane(rng.normal(size=(3000, 3)), rng) is None
     assert fit_support_plane(wall[:20], rng) is None
+
+
+def test_the_table_is_preferred_to_a_larger_floor_and_the_floor_to_a_box() -> None:
+    rng = np.random.default_rng(0)
+    scene = shapes.single_view(shapes.box(0.2, 0.2, 0.15), side=0.7)
+    floor = np.column_stack([rng.uniform(-1.2, 1.2, (60000, 2)), np.zeros(60000)])
+    floor = floor[(np.abs(floor[:, :2]) > 0.5).any(axis=1)] + rng.normal(0, 0.001, (1, 3))
+    plane = fit_support_plane(np.concatenate([scene, floor]), rng)
+    assert plane is not None
+    assert plane.offset == pytest.approx(0.75, abs=1e-3)
+    on_floor = np.concatenate([scene[scene[:, 2] > 0.76] - [0, 0, 0.75], floor])
+    plane = fit_support_plane(on_floor, rng)
+    assert plane is not None
+    assert plane.offset == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_small_table_alone_is_found() -> None:
+    points = shapes.single_view(shapes.box(0.05, 0.05, 0.05), side=0.25)
+    plane = fit_support_plane(points, np.random.default_rng(0))
+    assert plane is not None
+    assert plane.offset == pytest.approx(0.75, abs=1e-3)
