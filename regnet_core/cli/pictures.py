@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from regnet_core.cli.results import Result, check_folder
+from regnet_core.cli.results import Result, make_folder
 from regnet_core.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ MAX_SCENES = 6
 
 
 def check_view(path: Path) -> None:
-    """Raise InvalidInputError where ``write_views`` could not write."""
+    """Raise InvalidInputError where ``write_views`` could not write; make the folder."""
     if path.suffix not in VIEW_SUFFIXES:
         raise InvalidInputError(f"--view must end in {' or '.join(VIEW_SUFFIXES)}, got '{path.name}'")
-    check_folder(path, "--view")
+    make_folder(path, "--view")
 
 
 def as_scene(result: Result) -> ViewScene:

@@ -78,10 +78,10 @@ def write_results(path: Path, records: Sequence[dict[str, Any]], detections: Seq
 
 
 def check_out(path: Path, count: int) -> None:
-    """Refuse early what ``write_results`` could not do for ``count`` results.
+    """Refuse early what ``write_results`` could not do for ``count`` results, and make the folder.
 
     Raises:
-        InvalidInputError: the suffix is unknown, the folder is missing, or an .npz would have to hold several results.
+        InvalidInputError: the suffix is unknown, the folder cannot be made, or an .npz would hold several results.
     """
     if path.suffix not in OUT_SUFFIXES:
         raise InvalidInputError(f"--out must end in {' or '.join(OUT_SUFFIXES)}, got '{path.name}'")
@@ -90,13 +90,19 @@ def check_out(path: Path, count: int) -> None:
             f"an .npz holds the grasps of one result, but there will be {count}: give one cloud and one width, "
             "or write .json"
         )
-    check_folder(path, "--out")
+    make_folder(path, "--out")
 
 
-def check_folder(path: Path, option: str) -> None:
-    """Raise InvalidInputError when the folder that ``path`` names is not there."""
-    if not path.parent.is_dir():
-        raise InvalidInputError(f"{option}: there is no folder '{path.parent}'")
+def make_folder(path: Path, option: str) -> None:
+    """Make the folder that ``path`` names where it is missing.
+
+    Raises:
+        InvalidInputError: it cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(f"{option}: the folder '{path.parent}' cannot be made: {error.strerror}") from error
 
 
 def _grasp_records(result: Result) -> list[dict[str, Any]]:
