@@ -14,7 +14,6 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from regnet_core.geometry import Array
-from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 
 _MAX_CELLS = 4_000_000
@@ -32,8 +31,15 @@ class UnseenGround(NamedTuple):
     cell: float
     """Edge length of a cell [m]."""
 
-    def finger_shares(self, grasps: Grasps, gripper: Gripper) -> Array:
-        """(M, 2): which part of the left (+Y) and of the right finger stands above unseen ground, in [0, 1]."""
+    def finger_shares(self, rotation: Array, translation: Array, opening: Array, gripper: Gripper) -> Array:
+        """(M, 2): which part of the left (+Y) and of the right finger stands above unseen ground, in [0, 1].
+
+        Args:
+            rotation: (M, 3, 3), columns approach, closing direction and their cross product.
+            translation: (M, 3), the grasp centres [m].
+            opening: (M,), the jaws' openings [m].
+            gripper: the hand.
+        """
         nx, ny, nz = _FINGER_SAMPLES
         x = (np.arange(nx) + 0.5) / nx * gripper.depth
         y = (np.arange(ny) + 0.5) / ny * gripper.thickness
@@ -41,10 +47,10 @@ class UnseenGround(NamedTuple):
         grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
         shares = []
         for side in (1.0, -1.0):
-            local = np.repeat(grid[None], len(grasps), axis=0)
-            local[:, :, 1] = side * (local[:, :, 1] + grasps.width[:, None] / 2)
-            points = np.einsum("mij,msj->msi", grasps.rotation, local) + grasps.translation[:, None]
-            shares.append(self.at(points[..., :2]).mean(axis=1))
+            local = np.repeat(grid[None], len(rotation), axis=0)
+            local[:, :, 1] = side * (local[:, :, 1] + opening[:, None] / 2)
+            points = np.einsum("mij,msj->msi", rotation[:, :2], local) + translation[:, None, :2]
+            shares.append(self.at(points).mean(axis=1))
         return np.stack(shares, axis=1)
 
     def at(self, xy: Array) -> npt.NDArray[np.bool_]:

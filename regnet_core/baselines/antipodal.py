@@ -8,7 +8,7 @@ well the two contacts oppose each other: s_q = cos(alpha_i) cos(alpha_j).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +48,8 @@ class AntipodalConfig:
     """Fingers at least this far off the object will not touch it on the way in [m]."""
     tight_trust: float = 0.4
     """Quality is multiplied by this where there is no room at all between finger and object."""
+    hidden_bulge: float = 0.008
+    """How much farther than inferred a surface may reach into space that the camera could not see [m]."""
     unseen_trust: float = 0.5
     """Quality is multiplied by this where a finger goes down entirely in space that the camera could not see."""
     table_clearance: float = 0.004
@@ -127,28 +129,62 @@ class AntipodalSampler:
     ) -> Grasps:
         """The candidates that close on two opposing contacts, centred on what they close on."""
         cfg = self.config
-        extent = profile.high - profile.low
-        # The fingers go to the middle of the free space on both sides, within W.
-        side = np.minimum(0.5 * (gripper.width - extent), 0.5 * (profile.room - gripper.thickness))
-        side = np.minimum(side, cfg.finger_room)
-        good = profile.found & (profile.cos_low > cfg.min_cosine) & (profile.cos_high > cfg.min_cosine) & (side > 0)
-        rotation, side = candidates.rotation[good], side[good]
-        middle = 0.5 * (profile.low + profile.high)[good]
-        translation = candidates.translation[good] + middle[:, None] * rotation[:, :, 1]
-        width = np.minimum(extent[good] + 2 * side, gripper.width)
+        good = profile.found & (profile.cos_low > cfg.min_cosine) & (profile.cos_high > cfg.min_cosine)
+        rotation, translation = candidates.rotation[good], candidates.translation[good]
+        span = Span(profile.low[good], profile.high[good], profile.room[good])
+        unseen = np.zeros((len(rotation), 2))
+        if ground is not None:
+            first = span.place(gripper, cfg.finger_room)
+            at = translation + first.middle[:, None] * rotation[:, :, 1]
+            unseen = ground.finger_shares(rotation, at, first.width, gripper)
+            span = span.grown(cfg.hidden_bulge * unseen)
+        jaw = span.place(gripper, cfg.finger_room)
         antipodal = (profile.cos_low * profile.cos_high)[good]
-        grasps = Grasps.from_poses(rotation, translation, width, antipodal, profile.evidence[good])
-        expected = antipodal * self._certainty(grasps, side, gripper, ground)
-        return replace(grasps, quality=expected)[expected >= cfg.min_quality]
+        expected = antipodal * self._certainty(jaw.side, unseen)
+        keep = (jaw.side > 0) & (expected >= cfg.min_quality)
+        translation = translation + jaw.middle[:, None] * rotation[:, :, 1]
+        evidence = profile.evidence[good]
+        return Grasps.from_poses(rotation[keep], translation[keep], jaw.width[keep], expected[keep], evidence[keep])
 
-    def _certainty(self, grasps: Grasps, side: Array, gripper: Gripper, ground: UnseenGround | None) -> Array:
+    def _certainty(self, side: Array, unseen: Array) -> Array:
         """(M,) in (0, 1]: how sure the sampler is that the fingers fit where it puts them."""
         cfg = self.config
         roomy = np.minimum(1.0, cfg.tight_trust + (1.0 - cfg.tight_trust) * side / cfg.ample_room)
-        if ground is None or len(grasps) == 0:
-            return roomy
-        unseen = ground.finger_shares(grasps, gripper).max(axis=1)
-        return roomy * (1.0 - (1.0 - cfg.unseen_trust) * unseen)
+        return roomy * (1.0 - (1.0 - cfg.unseen_trust) * unseen.max(axis=1))
+
+
+class Jaw(NamedTuple):
+    """Where M jaws go along their closing axis."""
+
+    middle: Array
+    """(M,): y of the point between the fingers [m]."""
+    width: Array
+    """(M,): opening [m]."""
+    side: Array
+    """(M,): distance of each finger from the object before closing [m]; not positive where the object does not fit."""
+
+
+class Span(NamedTuple):
+    """What M jaws close on, along their closing axis."""
+
+    low: Array
+    """(M,): y of its -Y end [m]."""
+    high: Array
+    """(M,): y of its +Y end [m]."""
+    room: Array
+    """(M,): free length beyond its more obstructed end [m]."""
+
+    def place(self, gripper: Gripper, finger_room: float) -> Jaw:
+        """Fingers in the middle of the free space on both sides, within W and at most ``finger_room`` [m] off."""
+        extent = self.high - self.low
+        side = np.minimum(0.5 * (gripper.width - extent), 0.5 * (self.room - gripper.thickness))
+        side = np.minimum(side, finger_room)
+        width = np.clip(extent + 2 * side, 1e-3, gripper.width)
+        return Jaw(0.5 * (self.low + self.high), width, side)
+
+    def grown(self, bulge: Array) -> Span:
+        """The same with ends that reach farther out by ``bulge`` (M, 2), at +Y and at -Y [m]."""
+        return Span(self.low - bulge[:, 1], self.high + bulge[:, 0], self.room - bulge.max(axis=1))
 
 
 def _insert(
