@@ -13,21 +13,22 @@ MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 NAME = MANIFEST.findtext("name", "")
 MAINTAINERS = MANIFEST.findall("maintainer")
 
-# What detection, the command line and the nodes import. ROS itself is left out: it comes from the ROS installation, or,
-# where there is none, from the extra "ros".
+# What detection, the command line and the nodes import. With the oldest versions named here the tests of the core pass;
+# those of numpy, scipy and pillow are not above Ubuntu 24.04's, where ROS 2 Jazzy lives. ROS itself is left out: it
+# comes from the ROS installation or, where there is none, from the extra "ros".
 RUNTIME = [
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",
     "numba>=0.59",
     "numpy>=1.26",
-    "pillow>=10",
+    "pillow>=10.1",
     "plotly>=5.15",
     "pypcd4>=1.1",
     "pyyaml>=6",
-    "rich>=13",
+    "rich>=15",
     "scipy>=1.11",
-    "trimesh>=4",
-    "typer>=0.12",
+    "trimesh>=4.6",
+    "typer>=0.29",
 ]
 
 EXTRAS = {
@@ -35,11 +36,13 @@ EXTRAS = {
     "data": [
         "coacd>=1.0.4",
         "manifold3d>=3",
-        "mujoco>=3",
+        "mujoco>=4",
         # 0.20 needs the system library libusb and cannot be imported after coacd (std::bad_cast).
         "open3d-cpu>=0.19,<0.20",
         "python-fcl>=0.7",
-        "rosbags>=0.10",
+        "rosbags>=0.11",
+        "scipy>=1.15",
+        "trimesh>=5",
     ],
     "dev": ["colcon-common-extensions", "matplotlib>=3.6", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
     # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.

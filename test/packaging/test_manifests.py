@@ -66,8 +66,9 @@ def ros_packages() -> set[str]:
     return {path.name for path in Path(sys.prefix, "share", "ament_index", "resource_index", "packages").iterdir()}
 
 
-def ros_dependencies() -> set[str]:
-    return {node.text or "" for node in PACKAGE if node.tag in ("depend", "exec_depend")}
+def ros_dependencies(*tags: str) -> set[str]:
+    """Packages and rosdep keys that package.xml names for running, and with further tags."""
+    return {node.text or "" for node in PACKAGE if node.tag in ("depend", "exec_depend", *tags)}
 
 
 def test_installed_metadata_are_those_of_package_xml() -> None:
@@ -109,17 +110,17 @@ def test_core_imports_no_ros() -> None:
 
 
 def test_every_python_package_that_is_imported_is_declared() -> None:
-    ros = ros_dependencies() | {ROS_MODULES[name] for name in ros_dependencies() & set(ROS_MODULES)}
     data_only = sources("regnet_core/data", "regnet_core/evaluation")
     always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only]
-    for files, declared in (
-        (always, requirements(None)),
-        (data_only, requirements(None) | requirements("data")),
-        (sources("tools", "test"), requirements(None) | requirements("data") | requirements("dev") | {"setuptools"}),
+    data = requirements(None) | requirements("data")
+    for files, declared, packages in (
+        (always, requirements(None), ros_dependencies()),
+        (data_only, data, set()),
+        (sources("tools", "test"), data | requirements("dev"), ros_dependencies("test_depend")),
     ):
-        own_modules = {path.stem for path in files}
+        known = {path.stem for path in files} | packages | {ROS_MODULES.get(name, name) for name in packages}
         for name, path in third_party(files).items():
-            if name not in ros | own_modules | {"ament_index_python"}:
+            if name not in known:
                 assert normal(DISTRIBUTIONS.get(name, name)) in declared, f"{path} imports {name}, which setup.py lacks"
 
 
