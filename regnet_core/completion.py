@@ -52,6 +52,8 @@ class HiddenSurface(NamedTuple):
 def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: float = 1.2) -> SolidModel | None:
     """The volume between the observed object points (N, 3) and the plane; None when it would be empty or too large.
 
+    Where the objects are spread so wide that the grid would be too large, its cells are enlarged, up to twice.
+
     Args:
         points: points of the objects only, all above the plane [m].
         plane: the support plane.
@@ -62,12 +64,16 @@ def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: fl
         return None
     pad = 4
     height = plane.height(points)
+    spread = [*np.ptp(points[:, :2], axis=0), height.max()]
+    largest = 2.01 * cell
+    while np.prod([side / cell + 2 * pad + 2 for side in spread]) > _MAX_VOXELS:
+        cell *= 1.25
+        if cell > largest:
+            return None
     low = points[:, :2].min(axis=0) - pad * cell
     index = np.round((points[:, :2] - low) / cell).astype(np.int64)
     shape = index.max(axis=0) + 1 + pad
     levels = int(np.ceil(height.max() / cell)) + 1 + pad
-    if float(shape[0]) * float(shape[1]) * levels > _MAX_VOXELS:
-        return None
     top = np.zeros(shape)
     np.maximum.at(top, (index[:, 0], index[:, 1]), height)
     top = np.where(top > 0, top, ndimage.grey_closing(top, size=(5, 5)))

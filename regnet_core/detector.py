@@ -7,15 +7,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from regnet_core.baselines.antipodal import AntipodalSampler
 from regnet_core.collision import CollisionConfig, SceneCollision
-from regnet_core.errors import CloudError, ModelError
+from regnet_core.errors import CloudError, GripperError, InvalidInputError, ModelError
+from regnet_core.explain import explain
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
-from regnet_core.pointcloud import validate_colors
+from regnet_core.pointcloud import as_points, validate_colors, validate_viewpoint
 from regnet_core.proposer import Proposer
 from regnet_core.report import DetectionReport, StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
@@ -39,6 +41,10 @@ class DetectorConfig:
     collision: CollisionConfig = field(default_factory=CollisionConfig)
     max_grasps: int = 1000
     """At most so many grasps are returned, the best ones."""
+
+    def __post_init__(self) -> None:
+        if self.max_grasps < 1:
+            raise InvalidInputError(f"max_grasps must be at least 1, got {self.max_grasps!r}")
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class GraspDetector:
 
     Raises:
         ModelError: there is no such model or device.
+        InvalidInputError: the seed is not a whole number, 0 or more.
     """
 
     def __init__(
@@ -73,6 +80,8 @@ class GraspDetector:
             raise ModelError(f"no model '{model}'; there are {', '.join(_MODELS)}")
         if device not in ("auto", "cpu"):
             raise ModelError(f"model '{model}' runs on the device 'cpu' (or 'auto'), not on '{device}'")
+        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+            raise InvalidInputError(f"seed must be a whole number, 0 or more, got {seed!r}")
         self.model = model
         self.device = "cpu"
         self.seed = int(seed)
@@ -103,21 +112,24 @@ class GraspDetector:
 
         Raises:
             CloudError: an array has the wrong shape or type.
+            GripperError: the gripper is something else.
         """
         hand, limits = gripper or Gripper(), filters or GraspFilters()
+        if not isinstance(hand, Gripper):
+            raise GripperError(f"gripper must be a Gripper, such as Gripper(width=0.08), got {hand!r}")
+        cloud = as_points(points)
+        rgb = validate_colors(colors, len(cloud))
+        camera = validate_viewpoint(viewpoint)
+        _check_target(limits.target, len(cloud))
         rng = np.random.default_rng(self.seed)
         recorder = StepRecorder()
-        rgb = validate_colors(colors, len(np.asarray(points))) if colors is not None else None
-        if viewpoint is not None and np.shape(viewpoint) != (3,):
-            raise CloudError(f"viewpoint must be the camera's position x, y, z, got shape {np.shape(viewpoint)}")
-        scene = prepare_scene(points, rgb, self.config.scene, rng, recorder, viewpoint)
+        scene = prepare_scene(cloud, rgb, self.config.scene, rng, recorder, camera)
         grasps = Grasps.empty()
         if scene.objects.observed.sum() >= _MIN_POINTS:
-            focus = _focus(scene, limits.target, len(np.asarray(points)))
-            grasps = self._propose_and_check(scene, hand, limits, focus, rng, recorder)
-        report = recorder.finish(self.model, self.device, "")
+            grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
+        report = recorder.finish(self.model, self.device)
         if len(grasps) == 0:
-            report = recorder.finish(self.model, self.device, _reason(report, scene, hand))
+            report = recorder.finish(self.model, self.device, explain(report.steps, scene, hand, _MIN_POINTS))
         return Detection(grasps, report, hand, scene.plane)
 
     def _propose_and_check(
@@ -125,21 +137,21 @@ class GraspDetector:
         scene: Scene,
         gripper: Gripper,
         filters: GraspFilters,
-        focus: Mask,
         rng: np.random.Generator,
         recorder: StepRecorder,
     ) -> Grasps:
+        focus = _focus(scene, filters.target)
         with recorder.step("proposals") as step:
             grasps, considered = self._proposer.propose(scene, gripper, focus, rng)
             step.kept, step.rejected = len(grasps), considered - len(grasps)
-        collision = SceneCollision(scene.objects.points, scene.plane, self.config.collision)
+        collision = SceneCollision(scene.obstacles, scene.plane, self.config.collision)
         checks: list[tuple[str, Callable[[Grasps], Mask]]] = [
             ("quality", filters.quality_ok),
             ("approach cone", filters.approach_ok),
             ("workspace", lambda g: filters.workspace_ok(g, gripper)),
             ("collision with table", lambda g: ~collision.with_table(g, gripper)),
             ("collision with cloud", lambda g: ~collision.with_points(g, gripper)),
-            ("target region", lambda g: _on_target(g, gripper, collision, filters.target, focus)),
+            ("target region", lambda g: _on_target(g, gripper, collision, scene, filters.target, focus)),
         ]
         for name, accepts in checks:
             with recorder.step(name) as step:
@@ -152,55 +164,42 @@ class GraspDetector:
         return ranked
 
 
-def _focus(scene: Scene, target: Box | Mask | None, count: int) -> Mask:
+def _check_target(target: Box | Mask | None, count: int) -> None:
+    if target is None or isinstance(target, Box):
+        return
+    mask = np.asarray(target)
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise CloudError(
+            f"a target mask must be a boolean array ({count},), one for each point, got {mask.dtype} {mask.shape}"
+        )
+
+
+def _focus(scene: Scene, target: Box | Mask | None) -> Mask:
     """(S,): the points of the objects' surface that belong to the target region."""
     surface = scene.objects
     if target is None:
         return np.ones(len(surface.points), bool)
     if isinstance(target, Box):
         return target.contains(surface.points)
-    mask = np.asarray(target)
-    if mask.shape != (count,) or mask.dtype != np.bool_:
-        raise CloudError(
-            f"a target mask must be a boolean array ({count},), one for each point, got {mask.dtype} {mask.shape}"
-        )
-    return np.where(surface.source >= 0, mask[surface.source], False)
+    seen = surface.observed
+    marked = np.asarray(target)[surface.source[seen]]
+    focus = np.empty(len(surface.points), bool)
+    focus[seen] = marked
+    # A hidden surface belongs to the object whose visible part is nearest.
+    focus[~seen] = marked[cKDTree(surface.points[seen]).query(surface.points[~seen], workers=-1)[1]]
+    return focus
 
 
 def _on_target(
-    grasps: Grasps, gripper: Gripper, collision: SceneCollision, target: Box | Mask | None, focus: Mask
+    grasps: Grasps,
+    gripper: Gripper,
+    collision: SceneCollision,
+    scene: Scene,
+    target: Box | Mask | None,
+    focus: Mask,
 ) -> Mask:
-    """(M,): more than half of the points between the fingers, hidden ones left out for a mask, are on target."""
+    """(M,): more than half of the points between the fingers are on target."""
     if target is None:
         return np.ones(len(grasps), bool)
-    counts = collision.occupancy(grasps, gripper, marked=focus)
+    counts = collision.occupancy(grasps, gripper, marked=np.concatenate([focus, np.zeros(len(scene.structure), bool)]))
     return counts.marked * 2 > counts.closing
-
-
-def _reason(report: DetectionReport, scene: Scene, gripper: Gripper) -> str:
-    """One sentence about the step that left nothing."""
-    steps = {step.name: step for step in report.steps}
-    received = steps["valid points"].kept + steps["valid points"].rejected
-    if received == 0:
-        return "the cloud is empty"
-    if steps["valid points"].kept == 0:
-        return f"none of the {received} points is valid: all are NaN, infinite or more than 1000 m away"
-    if steps["points in workspace"].kept == 0:
-        return f"none of the {steps['valid points'].kept} valid points lies in the workspace"
-    if "proposals" not in steps:
-        found = steps["points on objects"].kept
-        where = "above the support plane" if scene.plane is not None else "in the cloud, and no support plane in it"
-        if found == 0:
-            return f"there is no surface {where}: isolated points do not count"
-        return f"there are only {found} points on surfaces {where}; at least {_MIN_POINTS} are needed"
-    proposals = steps["proposals"]
-    if proposals.kept == 0:
-        return (
-            f"none of {proposals.rejected} candidates closes on two opposing surfaces within the gripper's "
-            f"width of {gripper.width:g} m"
-        )
-    last = next(step for step in report.steps[report.steps.index(proposals) :] if step.kept == 0)
-    refused = ", ".join(
-        f"{s.name} {s.rejected}" for s in report.steps[report.steps.index(proposals) + 1 :] if s.rejected
-    )
-    return f"all {proposals.kept} proposed grasps were rejected, the last ones by: {last.name} ({refused})"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from regnet_core.errors import CloudError
@@ -20,8 +21,10 @@ MAX_COORDINATE = 1000.0
 """Points farther than this from the frame's origin along an axis [m] are dropped as invalid."""
 
 
-_LARGE = 0.1
-"""A level surface of this area [m2] carries objects rather than being the top of one."""
+_CRATE, _TABLE = 0.1, 0.25
+"""A level surface of less than the first area [m2] is the top of an object, one of more than the second is none."""
+_CARRIED = 10
+"""So many of the sampled points above a plane are something that stands on it."""
 
 
 class ValidPoints(NamedTuple):
@@ -39,6 +42,18 @@ def validate_points(points: npt.ArrayLike) -> ValidPoints:
     Raises:
         CloudError: the array is not numeric or not (N, 3).
     """
+    array = as_points(points).astype(np.float64, copy=False)
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero((np.abs(array) <= MAX_COORDINATE).all(axis=1))
+    return ValidPoints(array[rows], rows)
+
+
+def as_points(points: npt.ArrayLike) -> npt.NDArray[Any]:
+    """The user's points as a numeric array (N, 3), invalid points included.
+
+    Raises:
+        CloudError: the array is not numeric or not (N, 3).
+    """
     try:
         array = np.asarray(points)
     except (TypeError, ValueError) as error:
@@ -50,26 +65,50 @@ def validate_points(points: npt.ArrayLike) -> ValidPoints:
             f"points must have shape (N, 3), one row x, y, z in metres for each point, got {array.shape}"
             + ("; reshape an organised (H, W, 3) cloud by points.reshape(-1, 3)" if array.ndim == 3 else "")
         )
-    array = array.astype(np.float64, copy=False)
-    with np.errstate(invalid="ignore"):
-        index = np.flatnonzero((np.abs(array) <= MAX_COORDINATE).all(axis=1))
-    return ValidPoints(array[index], index)
+    return array
 
 
 def validate_colors(colors: npt.ArrayLike | None, count: int) -> npt.NDArray[np.float64] | None:
-    """Colours (N, 3), uint8 0..255 or floats 0..1, as floats 0..1.
+    """Colours (N, 3), integers 0..255 or floats 0..1, as floats 0..1; NaN becomes 0.
 
     Raises:
-        CloudError: the shape does not match the points.
+        CloudError: the shape does not match the points, or a value is out of range.
     """
     if colors is None:
         return None
-    array = np.asarray(colors)
+    try:
+        array = np.asarray(colors)
+    except (TypeError, ValueError) as error:
+        raise CloudError(f"colors must be an array ({count}, 3), one row for each point: {error}") from error
     if array.shape != (count, 3) or array.dtype.kind not in "fiu":
         raise CloudError(
             f"colors must have shape ({count}, 3), one row for each point, got {array.shape} {array.dtype}"
         )
-    return array / 255.0 if array.dtype.kind in "iu" else array.astype(np.float64)
+    scaled = array / 255.0 if array.dtype.kind in "iu" else np.nan_to_num(array.astype(np.float64), posinf=2.0)
+    if scaled.size and not (scaled.min() >= 0.0 and scaled.max() <= 1.0):
+        raise CloudError(
+            f"colors must be integers in 0..255 or floats in 0..1, got values from {array.min()} to {array.max()}"
+        )
+    return scaled
+
+
+def validate_viewpoint(viewpoint: npt.ArrayLike | None) -> Array | None:
+    """A camera's position (3,) [m].
+
+    Raises:
+        CloudError: it is not three finite numbers.
+    """
+    if viewpoint is None:
+        return None
+    try:
+        position = np.asarray(viewpoint, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise CloudError(f"viewpoint must be the camera's position x, y, z in metres, got {viewpoint!r}") from error
+    if position.shape != (3,) or not (np.abs(position) <= MAX_COORDINATE).all():
+        raise CloudError(
+            f"viewpoint must be the camera's position x, y, z within {MAX_COORDINATE:g} m, got {viewpoint!r}"
+        )
+    return position
 
 
 def crop(points: Array, box: Box) -> Index:
@@ -135,9 +174,9 @@ def fit_support_plane(
 ) -> Plane | None:
     """The plane that objects stand on, or None.
 
-    Of several large, nearly horizontal planes it is the highest: a table rather than the floor beside it. A plane
-    counts as large from 0.1 m2 on, more than the top of an object that can be grasped. Where none is large, it is the
-    one with the most points, unless more lie below it than on it.
+    Of several large, nearly horizontal planes it is the highest of those that carry something: a table rather than the
+    floor beside it, and rather than the top of a crate on it. Where none is large, it is the one with the most points,
+    unless more lie below it than on it.
 
     Args:
         points: (N, 3) in a gravity-aligned frame, z up [m].
@@ -152,13 +191,44 @@ def fit_support_plane(
     planes = _horizontal_planes(sample, rng, max_tilt, tolerance, min_share)
     if not planes:
         return None
-    large = [p for p in planes if _area(sample[np.abs(p.height(sample)) < tolerance]) >= _LARGE]
-    middle = sample.mean(axis=0)
-    chosen = min(large, key=lambda plane: float(plane.height(middle)), default=planes[0])
-    height = chosen.height(sample)
-    if not large and (height < -3 * tolerance).sum() > (np.abs(height) < tolerance).sum():
+    chosen = _supporting(planes, sample, tolerance)
+    if chosen is None:
         return None
-    return _refined(points, chosen, tolerance)
+    refined = _refined(points, chosen, tolerance)
+    return refined if refined.normal[2] > math.cos(max_tilt) else chosen
+
+
+def _supporting(planes: list[Plane], points: Array, tolerance: float) -> Plane | None:
+    """The one of the planes that the objects among the points (N, 3) stand on."""
+    middle = points.mean(axis=0)
+    areas = [_area(points[np.abs(plane.height(points)) < tolerance]) for plane in planes]
+    large = [(plane, area) for plane, area in zip(planes, areas, strict=True) if area >= _CRATE]
+    if not large:
+        height = planes[0].height(points)
+        return planes[0] if (height < -3 * tolerance).sum() <= (np.abs(height) < tolerance).sum() else None
+    large.sort(key=lambda pair: float(pair[0].height(middle)))  # the highest first
+    carried = [_carried(plane, points, tolerance) for plane, _ in large]
+    for (plane, area), count in zip(large, carried, strict=True):
+        if count >= _CARRIED and (area >= _TABLE or count >= 0.2 * max(carried)):
+            return plane
+    return large[0][0]
+
+
+def _carried(plane: Plane, points: Array, tolerance: float, reach: float = 0.5, cell: float = 0.03) -> int:
+    """How many of the points (N, 3) stand on the plane, up to ``reach`` [m] above where it was seen or gaps of it."""
+    height = plane.height(points)
+    low = points[:, :2].min(axis=0)
+    shape = (np.ptp(points[:, :2], axis=0) / cell).astype(np.int64) + 1
+    if float(shape[0]) * float(shape[1]) > 4e6:
+        return 0
+    index = ((points[:, :2] - low) / cell).astype(np.int64)
+    footprint = np.zeros(shape, bool)
+    on_plane = index[np.abs(height) < tolerance]
+    footprint[on_plane[:, 0], on_plane[:, 1]] = True
+    padded = ndimage.binary_closing(np.pad(footprint, 6), np.ones((3, 3)), iterations=5)
+    footprint = padded[6:-6, 6:-6]
+    above = index[(height > 2 * tolerance) & (height < reach)]
+    return int(footprint[above[:, 0], above[:, 1]].sum())
 
 
 def _horizontal_planes(
@@ -174,7 +244,7 @@ def _horizontal_planes(
             break
         left = left[np.abs(plane.height(left)) >= 2 * tolerance]
         plane = _refined(points, plane, tolerance)
-        if _is_flat(plane.height(points), tolerance):
+        if plane.normal[2] > math.cos(max_tilt) and _is_flat(plane.height(points), tolerance):
             planes.append(plane)
     return planes
 

@@ -30,6 +30,8 @@ class DetectionReport:
     reason: str = ""
     """Why there is no grasp, in a sentence; empty when there are some."""
     total_seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
+    """What makes the result less reliable than usual, a sentence each."""
 
     def __getitem__(self, name: str) -> StepReport:
         for step in self.steps:
@@ -51,6 +53,7 @@ class StepRecorder:
     """Collects the steps of one detection with their times."""
 
     steps: list[StepReport] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     started: float = field(default_factory=time.perf_counter)
 
     @contextmanager
@@ -62,4 +65,5 @@ class StepRecorder:
 
     def finish(self, model: str, device: str, reason: str = "") -> DetectionReport:
         """The report of everything recorded so far."""
-        return DetectionReport(tuple(self.steps), model, device, reason, time.perf_counter() - self.started)
+        seconds = time.perf_counter() - self.started
+        return DetectionReport(tuple(self.steps), model, device, reason, seconds, tuple(self.warnings))

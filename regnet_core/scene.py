@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from regnet_core.clusters import beyond, cluster, structure
 from regnet_core.completion import SolidModel, fill_columns, hidden_surface
+from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
 from regnet_core.pointcloud import (
     Index,
@@ -22,23 +26,40 @@ from regnet_core.pointcloud import (
 from regnet_core.report import StepRecorder
 from regnet_core.visibility import UnseenGround, unseen_ground
 
+_MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
+"""Normals are estimated from neighbourhoods of such radii [m]."""
+
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """How a cloud is prepared."""
+    """How a cloud is prepared.
+
+    Raises:
+        InvalidInputError: a value makes no sense.
+    """
 
     workspace: Box | None = None
     """Points outside are ignored altogether [m]."""
     voxel: float = 0.002
-    """Edge length of the voxels that thin the cloud before all else; it bounds the cost of very dense clouds [m]."""
+    """Edge length of the voxels that thin the cloud before all else [m]."""
+    max_points: int = 300_000
+    """The voxels are enlarged until no more points than this are left."""
     plane_clearance: float = 0.007
     """Points nearer to the support plane belong to it [m]."""
     outlier_neighbours: int = 5
     """A point with fewer neighbours within the neighbourhood's radius is a flying pixel."""
     max_object_height: float = 0.5
-    """Points higher above the support plane are not filled downwards [m]."""
+    """What is taller and also wide is a wall, a person, furniture: an obstacle, but nothing to grasp [m]."""
     complete_hidden: bool = True
     """Whether the unseen sides of the objects are filled in (completion.py)."""
+
+    def __post_init__(self) -> None:
+        for name, low in (("voxel", 1e-5), ("plane_clearance", 0.0), ("max_object_height", 0.01)):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= low):
+                raise InvalidInputError(f"{name} must be at least {low:g} m, got {value!r}")
+        if self.max_points < 100:
+            raise InvalidInputError(f"max_points must be at least 100, got {self.max_points!r}")
 
 
 @dataclass(frozen=True)
@@ -69,8 +90,15 @@ class Scene:
     """The support plane, if one was found."""
     objects: Surface
     """The surface of what stands on the plane (everything when there is no plane)."""
+    structure: Array
+    """(K, 3): points of walls, people, furniture, which are only in the way [m]."""
     ground: UnseenGround | None
     """Which part of the plane was not seen; None without a plane."""
+
+    @property
+    def obstacles(self) -> Array:
+        """(S + K, 3): everything above the plane that a hand could hit; the objects' points come first [m]."""
+        return np.concatenate([self.objects.points, self.structure])
 
 
 def prepare_scene(
@@ -79,7 +107,7 @@ def prepare_scene(
     config: SceneConfig,
     rng: np.random.Generator,
     recorder: StepRecorder,
-    viewpoint: npt.ArrayLike | None = None,
+    viewpoint: Array | None = None,
 ) -> Scene:
     """Clean a user's cloud (M, 3) [m] and find the support plane and the surface of the objects.
 
@@ -88,7 +116,7 @@ def prepare_scene(
         colors: (M, 3) in [0, 1], or None.
         config: how to do it.
         rng: source of randomness.
-        recorder: receives the counts and times of the steps.
+        recorder: receives the counts and times of the steps, and warnings.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
     with recorder.step("valid points") as step:
@@ -98,54 +126,103 @@ def prepare_scene(
         inside = np.arange(len(valid)) if config.workspace is None else crop(valid, config.workspace)
         step.kept, step.rejected = len(inside), len(valid) - len(inside)
     with recorder.step("points after thinning") as step:
-        thinned = inside[voxel_downsample(valid[inside], config.voxel)]
+        thinned = inside[_thinned(valid[inside], config)]
         step.kept, step.rejected = len(thinned), len(inside) - len(thinned)
     cloud, source = valid[thinned], source[thinned]
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
-        objects = _object_surface(cloud, source, plane, config, rng, viewpoint)
-        step.kept = int(objects.observed.sum())
-        step.rejected = len(cloud) - step.kept
+        found = _find_surface(cloud, source, plane, config, rng, viewpoint, recorder.warnings)
         ground = None
         if plane is not None and config.complete_hidden:
             on_plane = np.abs(plane.height(cloud)) <= config.plane_clearance
-            ground = unseen_ground(cloud[on_plane], objects.points)
-    return Scene(cloud, source, None if colors is None else colors[source], plane, objects, ground)
+            ground = unseen_ground(cloud[on_plane], found.objects.points)
+        step.kept = int(found.objects.observed.sum())
+        step.rejected = len(cloud) - step.kept
+    return Scene(
+        cloud, source, None if colors is None else colors[source], plane, found.objects, found.structure, ground
+    )
 
 
-def _object_surface(
+class _Found(NamedTuple):
+    objects: Surface
+    structure: Array
+
+
+def _thinned(points: Array, config: SceneConfig) -> Index:
+    voxel = config.voxel
+    kept = voxel_downsample(points, voxel)
+    while len(kept) > config.max_points:
+        voxel *= 1.3
+        kept = voxel_downsample(points, voxel)
+    return kept
+
+
+def _find_surface(
     cloud: Array,
     source: Index,
     plane: Plane | None,
     config: SceneConfig,
     rng: np.random.Generator,
-    viewpoint: npt.ArrayLike | None,
-) -> Surface:
-    height = np.ones(len(cloud)) if plane is None else plane.height(cloud)
-    on_object = np.flatnonzero(height > config.plane_clearance)
-    points, source, height = cloud[on_object], source[on_object], height[on_object]
-    radius = neighbourhood_radius(points, rng)
-    local = estimate_normals(points, radius)
+    viewpoint: Array | None,
+    warnings: list[str],
+) -> _Found:
+    base = plane or _lowest_level(cloud)
+    height = base.height(cloud)
+    above = np.flatnonzero(height > config.plane_clearance) if plane is not None else np.arange(len(cloud))
+    groups = cluster(cloud[above])
+    above = above[groups.size[groups.label] >= config.outlier_neighbours]
+    in_the_way = structure(cloud[above], height[above], config.max_object_height)
+    if plane is not None:
+        in_the_way |= beyond(cloud[above], cloud[np.abs(height) <= config.plane_clearance])
+    wall, above = cloud[above[in_the_way]], above[~in_the_way]
+
+    points, source, height = cloud[above], source[above], height[above]
+    radius = neighbourhood_radius(points, rng, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
+    if radius > 1.5 * _MAX_RADIUS and len(points) > 0:
+        warnings.append(
+            "the cloud is sparse: fewer than 25 points within 3 cm on the objects, so obstacles may be missed; crop it "
+            "to the workspace before sampling it down"
+        )
+    local = estimate_normals(points, min(radius, _MAX_RADIUS))
     keep = local.neighbours >= config.outlier_neighbours
     points, source, height, normals = points[keep], source[keep], height[keep], local.normal[keep]
     # Sensor noise is taken out along the normal: onto the plane of the neighbours.
     points = points - normals * np.sum((points - local.mean[keep]) * normals, axis=1, keepdims=True)
 
-    model: SolidModel | None = None
-    if plane is not None and config.complete_hidden:
-        columns = height < config.max_object_height
-        model = fill_columns(points[columns], plane)
+    model = fill_columns(points, base) if config.complete_hidden else None
+    if plane is None and len(points) > 0:
+        warnings.append("no support plane was found: objects are taken to stand at the height of the lowest point")
+    elif model is None and config.complete_hidden and len(points) >= 10:
+        warnings.append("the objects are spread too wide for their hidden sides to be inferred; crop the cloud")
+    normals = _outward(points, normals, height, model, viewpoint)
+    objects = Surface(points, normals, np.ones(len(points), bool), source)
+    return _Found(objects if model is None else _completed(objects, model, base), wall)
+
+
+def _lowest_level(cloud: Array) -> Plane:
+    """The level plane under nearly all points, for clouds that show objects and no table."""
+    return Plane((0.0, 0.0, 1.0), float(np.quantile(cloud[:, 2], 0.01)) - 0.002 if len(cloud) else 0.0)
+
+
+def _outward(points: Array, normals: Array, height: Array, model: SolidModel | None, viewpoint: Array | None) -> Array:
+    """Normals (S, 3) turned outwards: to the camera, out of the filled volume, or away from the cluster's middle."""
+    if len(points) == 0:
+        return normals
     if viewpoint is not None:
-        normals = orient_normals(normals, np.asarray(viewpoint, float) - points)
-    elif model is not None:
-        normals = orient_normals(normals, model.outward(points, height))
-    else:
-        normals = orient_normals(normals, np.array([0.0, 0.0, 1.0]))
-    observed = np.ones(len(points), bool)
-    if model is not None and plane is not None:
-        hidden = hidden_surface(model, plane, points)
-        points = np.concatenate([points, hidden.points])
-        normals = np.concatenate([normals, hidden.normals])
-        observed = np.concatenate([observed, np.zeros(len(hidden.points), bool)])
-        source = np.concatenate([source, np.full(len(hidden.points), -1)])
-    return Surface(points, normalised(normals) if len(normals) else normals, observed, source)
+        return normalised(orient_normals(normals, viewpoint - points))
+    if model is not None:
+        return normalised(orient_normals(normals, model.outward(points, height)))
+    groups = cluster(points)
+    return normalised(orient_normals(normals, points - groups.mean(points)[groups.label]))
+
+
+def _completed(objects: Surface, model: SolidModel, base: Plane) -> Surface:
+    """The surface with the hidden sides of the filled volume."""
+    hidden = hidden_surface(model, base, objects.points)
+    count = len(hidden.points)
+    return Surface(
+        np.concatenate([objects.points, hidden.points]),
+        np.concatenate([objects.normals, hidden.normals]),
+        np.concatenate([objects.observed, np.zeros(count, bool)]),
+        np.concatenate([objects.source, np.full(count, -1)]),
+    )

@@ -64,7 +64,7 @@ class UnseenGround(NamedTuple):
 def unseen_ground(plane_points: Array, object_points: Array, cell: float = 0.006) -> UnseenGround | None:
     """Map what was seen of the ground, from the points on the plane (P, 3) and on the objects (S, 3) [m].
 
-    Gaps of up to three cells between neighbouring points are closed. None when the map would be too large.
+    Gaps of up to two cells between points are closed. None when the map would be too large.
     """
     points = np.concatenate([plane_points, object_points])[:, :2]
     if len(points) == 0:

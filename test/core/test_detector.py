@@ -1,5 +1,7 @@
 """GraspDetector on objects of known size, and its promises: order, limits, reasons, reproducibility."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import shapes
@@ -159,9 +161,55 @@ def test_the_scene_around_a_target_still_blocks() -> None:
     assert len(shut.grasps) < len(free.grasps) / 10
 
 
+def test_a_mask_of_every_point_refuses_nothing() -> None:
+    everything = detect(BOX, filters=GraspFilters(target=np.ones(len(BOX), bool)))
+    assert everything.report["target region"].rejected == 0
+    assert np.array_equal(everything.grasps.translation, detect(BOX).grasps.translation)
+
+
+def test_a_target_without_an_object_says_so() -> None:
+    result = detect(BOX, filters=GraspFilters(target=Box((0.2, 0.2, 0), (0.25, 0.25, 2))))
+    assert "target region contains no point of an object" in result.report.reason
+
+
 def test_a_mask_of_the_wrong_length_is_refused() -> None:
     with pytest.raises(CloudError, match="target mask"):
         detect(BOX, filters=GraspFilters(target=np.ones(5, bool)))
+    with pytest.raises(CloudError, match="target mask"):
+        detect(np.zeros((0, 3)), filters=GraspFilters(target=np.ones(5, bool)))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"points": 5.0, "colors": [[0, 0, 0]]},
+        {"points": [[0.0, 1.0], [1.0]], "colors": [[0, 0, 0]]},
+        {"points": BOX, "colors": [[0, 0, 0], [1]]},
+        {"points": BOX, "colors": np.full((len(BOX), 3), 1.5)},
+        {"points": BOX, "viewpoint": ["a", "b", "c"]},
+        {"points": BOX, "viewpoint": [np.nan, 0.0, 0.0]},
+        {"points": BOX, "viewpoint": [1e308, 0.0, 0.0]},
+        {"points": BOX, "viewpoint": np.zeros((2, 3))},
+        {"points": BOX, "gripper": 0.08},
+    ],
+)
+def test_wrong_arguments_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInputError):
+        GraspDetector().detect(**wrong)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True])
+def test_wrong_seeds_are_refused(seed: Any) -> None:
+    with pytest.raises(InvalidInputError, match="seed must be"):
+        GraspDetector(seed=seed)
+
+
+def test_configurations_without_sense_are_refused() -> None:
+    for settings in ({"voxel": 0.0}, {"voxel": np.nan}, {"plane_clearance": -1.0}, {"max_points": 0}):
+        with pytest.raises(InvalidInputError):
+            SceneConfig(**settings)
+    with pytest.raises(InvalidInputError, match="max_grasps"):
+        DetectorConfig(max_grasps=0)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +219,7 @@ def test_a_mask_of_the_wrong_length_is_refused() -> None:
         (np.full((40, 3), np.nan), SceneConfig(), "none of the 40 points is valid"),
         (np.array([[0.1, 0.2, 0.8]]), SceneConfig(), "no surface in the cloud, and no support plane"),
         (np.tile([[0.1, 0.2, 0.8]], (500, 1)), SceneConfig(), "surface"),
-        (shapes.single_view(None), SceneConfig(), "above the support plane"),
+        (shapes.single_view(None), SceneConfig(), "nothing stands on the support plane"),
         (BOX, SceneConfig(workspace=Box((5, 5, 5), (6, 6, 6))), "lies in the workspace"),
     ],
 )
@@ -206,6 +254,14 @@ def test_a_cloud_without_a_table_is_still_grasped() -> None:
     result = detect(ball.points)
     assert result.plane is None
     assert len(result.grasps) > 20
+    assert "no support plane" in result.report.warnings[0]
+
+
+def test_the_seen_side_of_objects_cut_out_of_the_table_is_completed() -> None:
+    result = detect(BOX[BOX[:, 2] > 0.765])
+    best = result.grasps[:50]
+    assert result.plane is None
+    assert GroundTruth([BOX_MESH], None).collides(best, Gripper()).mean() <= 0.1
 
 
 @pytest.mark.parametrize(
