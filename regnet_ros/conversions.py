@@ -158,7 +158,9 @@ def steps_to_messages(steps: Iterable[StepReport]) -> list[StepMessage]:
 def report_from_message(message: GraspArray) -> DetectionReport:
     """The report of the detection that made the array."""
     steps = tuple(StepReport(s.name, s.kept, s.rejected, s.seconds) for s in message.steps)
-    return DetectionReport(steps, message.model, message.device, message.reason, message.total_seconds)
+    return DetectionReport(
+        steps, message.model, message.device, message.reason, message.total_seconds, tuple(message.warnings)
+    )
 
 
 def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: DetectionReport) -> GraspArray:
@@ -171,6 +173,7 @@ def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: Detect
         model=report.model,
         device=report.device,
         reason=report.reason,
+        warnings=report.warnings,
         total_seconds=report.total_seconds,
     )
 

@@ -86,7 +86,7 @@ class Detector(GraspNode[DetectorParameters]):
             {"convert": seconds, "detect": report.total_seconds, "publish": end - found, "total": end - start},
             report.steps,
             {"grasps": len(detection.grasps)},
-            report.reason,
+            "; ".join(filter(None, [report.reason, *report.warnings])),
         )
 
     def _detect(self, cloud: PointCloud2, settings: DetectorParameters, gripper: Gripper) -> tuple[Detection, float]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, ClassVar, Generic
+from typing import Any, ClassVar, Generic, ParamSpec
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy._rclpy_pybind11 import RCLError
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
@@ -26,9 +28,12 @@ from regnet_ros.mailbox import Mailbox
 from regnet_ros.parameters import ParameterStore, Table
 
 _DIAGNOSTICS_PERIOD = 1.0
+_NAP = 0.02
+"""Longest sleep of a thread that waits for its turn [s]; a signal is noticed so soon."""
 _REPEAT_LOG_AFTER = 5.0
 """A message that stays the same is logged once in so many seconds."""
 
+P = ParamSpec("P")
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -61,7 +66,9 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._transition_lock = threading.Lock()
         self._active = False
         self._undo: list[Callable[[], object]] = []
+        self._inputs: list[SensorInput] = []
         self._last_log = ("", 0.0)
+        self._last_start = -math.inf
         self.health = Health(awaits=awaits)
         self.busy = threading.Lock()
         """Held while regnet_core computes: work and services take turns."""
@@ -69,18 +76,22 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self.input_group = MutuallyExclusiveCallbackGroup()
         self.service_group = MutuallyExclusiveCallbackGroup()
         self._mailbox: Mailbox[Any] = Mailbox()
-        self._wake = self.create_guard_condition(self._work, callback_group=MutuallyExclusiveCallbackGroup())
+        self._wake = self.create_guard_condition(
+            self._guarded(self._work), callback_group=MutuallyExclusiveCallbackGroup()
+        )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         # Steady time: with use_sim_time and no clock, timers on the node's clock would never fire.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(
-            _DIAGNOSTICS_PERIOD, self.publish_diagnostics, MutuallyExclusiveCallbackGroup(), self._steady
+            _DIAGNOSTICS_PERIOD, self._guarded(self._look_after), MutuallyExclusiveCallbackGroup(), self._steady
         )
         self._service_change_state.callback = self._one_at_a_time(self._service_change_state.callback)
         for service in self.services:
-            service.callback = self._guarded_service(service.callback)
+            service.callback = self._guarded_service(self._refusing_nonsense(service.callback))
         if self.settings.autostart:
-            self._starter = self.create_timer(0.0, self._start, MutuallyExclusiveCallbackGroup(), self._steady)
+            self._starter = self.create_timer(
+                0.0, self._guarded(self._start), MutuallyExclusiveCallbackGroup(), self._steady
+            )
 
     # -- for subclasses ------------------------------------------------------------------------------------------
 
@@ -126,6 +137,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def add_input(self, kind: type, topic: str, reliability: str) -> SensorInput:
         """A subscription whose newest message is worked on, until cleanup."""
         subscription = SensorInput(self, kind, topic, self._guarded(self._receive), self.input_group, reliability)
+        self._inputs.append(subscription)
+        self._undo.append(lambda: self._inputs.remove(subscription))
         self._undo.append(subscription.destroy)
         return subscription
 
@@ -178,7 +191,11 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         message.header.stamp = self.get_clock().now().to_msg()
         name = self.get_fully_qualified_name()
         message.status = [self.health.status(name, self.state_label, self.settings.stale_after)]
-        self._diagnostics.publish(message)
+        try:
+            self._diagnostics.publish(message)
+        except (RCLError, InvalidHandle):
+            if self.context.ok():  # otherwise the node is shutting down, and there is nobody to tell
+                raise
 
     def wait_until_idle(self, timeout: float) -> bool:
         """Wait for work and services to end, at most ``timeout`` [s] each; whether they did."""
@@ -187,6 +204,12 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
                 return False
             lock.release()
         return True
+
+    def _look_after(self) -> None:
+        """What is done once a second."""
+        for subscription in list(self._inputs):
+            subscription.refresh()
+        self.publish_diagnostics()
 
     # -- input and work ------------------------------------------------------------------------------------------
 
@@ -199,7 +222,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._wake.trigger()
 
     def _work(self) -> None:
-        while self._active and self.context.ok() and (item := self._mailbox.take()) is not None:
+        while self._wait_for_turn() and (item := self._mailbox.take()) is not None:
+            self._last_start = time.monotonic()
             try:
                 with self._working:
                     self.work(item)
@@ -207,6 +231,15 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
                 self.fail(str(error))
             except Exception as error:
                 self.crash(error, "while working on an input")
+
+    def _wait_for_turn(self) -> bool:
+        """Wait for as long as the parameters ask between two works; whether the node is still active then."""
+        while self._active and self.context.ok():
+            left = self._last_start + self.settings.least_period - time.monotonic()
+            if left <= 0.0:
+                return True
+            time.sleep(min(left, _NAP))
+        return False
 
     # -- parameters ----------------------------------------------------------------------------------------------
 
@@ -287,12 +320,12 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     # -- callbacks that do not let an exception out ----------------------------------------------------------------
 
-    def _guarded(self, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        def call(message: Any) -> None:
+    def _guarded(self, callback: Callable[P, None]) -> Callable[P, None]:
+        def call(*arguments: P.args, **named: P.kwargs) -> None:
             try:
-                callback(message)
+                callback(*arguments, **named)
             except Exception as error:
-                self.crash(error, "while receiving")
+                self.crash(error, f"in {getattr(callback, '__name__', 'a callback').strip('_')}")
 
         return call
 
@@ -302,6 +335,24 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
                 return callback(request, response)
             except Exception as error:
                 self.crash(error, f"while answering a {type(request).__name__}")
+                return response
+
+        return call
+
+    def _refusing_nonsense(self, callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Answer requests to set parameters of no known type; rclpy raises an error and leaves the client waiting."""
+
+        def call(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except (TypeError, ValueError) as error:
+                refusal = SetParametersResult(successful=False, reason=f"not a parameter's value: {error}")
+                if isinstance(request, SetParameters.Request):
+                    response.results = [refusal] * len(request.parameters)
+                elif isinstance(request, SetParametersAtomically.Request):
+                    response.result = refusal
+                else:
+                    raise
                 return response
 
         return call

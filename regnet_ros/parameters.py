@@ -87,6 +87,11 @@ class NodeParameters:
         5.0, "After how long without input the diagnostics report STALE [s].", limits=(0.1, 3600.0)
     )
 
+    @property
+    def least_period(self) -> float:
+        """Least time between the starts of two works [s]."""
+        return 0.0
+
     def check(self) -> None:
         """Check what a single parameter's rule cannot: values that have to fit each other.
 

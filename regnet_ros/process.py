@@ -41,7 +41,7 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
         rclpy.try_shutdown()
         return _refuse(str(error))
     if not stops:
-        _spin(node)
+        spin(node)
     finished = node.wait_until_idle(_PATIENCE / 2)
     with contextlib.suppress(RCLError, InvalidHandle):
         node.destroy_node()
@@ -53,8 +53,9 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
     return 0
 
 
-def _spin(node: GraspNode) -> None:
-    executor = MultiThreadedExecutor(num_threads=_THREADS)
+def spin(node: GraspNode) -> None:
+    """Run the callbacks of a node until its context shuts down; no exception gets out."""
+    executor = MultiThreadedExecutor(num_threads=_THREADS, context=node.context)
     executor.add_node(node)
     while node.context.ok():
         try:

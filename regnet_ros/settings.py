@@ -57,6 +57,16 @@ class SensorParameters(NodeParameters):
         choices=reliabilities,
         read_only=True,
     )
+    max_rate: float = parameter(
+        0.0,
+        "Most clouds worked on in a second, always the newest [Hz]; 0: as many as come and as the machine can.",
+        limits=(0.0, 1000.0),
+    )
+
+    @property
+    def least_period(self) -> float:
+        """Least time between the starts of two works [s]."""
+        return 1.0 / self.max_rate if self.max_rate > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -188,7 +198,7 @@ class DetectorParameters(SensorParameters):
 
     def same_result(self, other: DetectorParameters) -> bool:
         """Whether a detection with ``other`` gives the same."""
-        aside = ("autostart", "stale_after", "redetect_on_change", "warm_up", "input_reliability", "target_frame")
+        aside = ("autostart", "stale_after", "redetect_on_change", "warm_up", "input_reliability", "max_rate")
         return all(
             getattr(self, f.name) == getattr(other, f.name) for f in fields(DetectorParameters) if f.name not in aside
         )
