@@ -5,7 +5,6 @@ python tools/parameter_tables.py [--check]
 
 import argparse
 import dataclasses
-import re
 import sys
 from pathlib import Path
 
@@ -39,9 +38,8 @@ def with_tables(text: str) -> str:
         begin, end = f"<!-- parameters of {node} -->", f"<!-- end of {node} -->"
         if begin not in text or end not in text:
             raise SystemExit(f"README.md lacks the markers '{begin}' and '{end}'")
-        text = re.sub(
-            re.escape(begin) + ".*?" + re.escape(end), lambda _: f"{begin}\n{markdown(table)}\n{end}", text, flags=re.S
-        )
+        head, rest = text.split(begin, 1)
+        text = f"{head}{begin}\n{markdown(table)}\n{end}{rest.split(end, 1)[1]}"
     return text
 
 
