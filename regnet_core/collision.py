@@ -7,18 +7,23 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from regnet_core.checks import check_range
 from regnet_core.geometry import Array, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import VoxelGrid, build_grid, cell_range
+from regnet_core.ops.voxel_grid import VoxelGrid, along_approach, build_grid, cells_of_box
 
 
 @dataclass(frozen=True)
 class CollisionConfig:
-    """When a hand counts as colliding."""
+    """When a hand counts as colliding.
+
+    Raises:
+        InvalidInputError: a value is not a finite number of at least 0.
+    """
 
     margin: float = 0.002
     """The bodies are grown by this much on every side but the fingers' inner faces, for the camera's noise [m]."""
@@ -26,6 +31,10 @@ class CollisionConfig:
     """Up to so many points inside a body are taken for noise."""
     table_clearance: float = 0.003
     """The least height of any part of the hand above the support plane [m]."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            check_range(name, value, 0.0)
 
 
 class Occupancy(NamedTuple):
@@ -101,7 +110,7 @@ def lowest_height(grasps: Grasps, gripper: Gripper, plane: Plane) -> Array:
     return centre - down_z + np.minimum(palm, fingers)
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _count(rotation, translation, opening, sizes, points, flags, starts, origin, shape, cell, begin, end, counts):  # type: ignore[no-untyped-def]
     width, depth, half_height, thickness, palm_depth, margin = sizes
     z_max = half_height + margin
@@ -112,14 +121,9 @@ def _count(rotation, translation, opening, sizes, points, flags, starts, origin,
         palm_y = width / 2 + thickness + margin
         y_max = max(palm_y, outer)
         x_mid, x_half = (depth - palm_depth) / 2, (depth + palm_depth) / 2 + margin
-        low, high = np.empty(3), np.empty(3)
-        for a in range(3):
-            centre = c[a] + pose[a, 0] * x_mid
-            half = abs(pose[a, 0]) * x_half + abs(pose[a, 1]) * y_max + abs(pose[a, 2]) * z_max
-            low[a], high[a] = centre - half, centre + half
-        i0, i1 = cell_range(low[0], high[0], origin[0], cell, shape[0])
-        j0, j1 = cell_range(low[1], high[1], origin[1], cell, shape[1])
-        k0, k1 = cell_range(low[2], high[2], origin[2], cell, shape[2])
+        i0, i1, j0, j1, k0, k1 = cells_of_box(
+            pose, along_approach(pose, c, x_mid), (x_half, y_max, z_max), origin, cell, shape
+        )
         if k1 < k0:
             continue
         for i in range(i0, i1 + 1):

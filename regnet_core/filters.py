@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from regnet_core.checks import check_range
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Box, Mask, check_cone, within_cone
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # a target mask has no single truth value, and no hash
 class GraspFilters:
     """Limits on the grasps that are returned; the defaults accept everything.
 
@@ -29,7 +30,7 @@ class GraspFilters:
     """Where the point between the fingertips must lie, in the cloud's frame [m]."""
     min_quality: float = 0.0
     """The least quality s_q in [0, 1]."""
-    target: Box | Mask | None = field(default=None, compare=False)
+    target: Box | Mask | None = None
     """The region of interest: a box in the cloud's frame [m], or a mask (N,) over the points given to ``detect``.
 
     A grasp is on target when more than half of the points between its fingers are.
@@ -37,8 +38,9 @@ class GraspFilters:
 
     def __post_init__(self) -> None:
         check_cone(self.approach_axis, self.approach_max_angle)
-        if not 0.0 <= self.min_quality <= 1.0:
-            raise InvalidInputError(f"min_quality must be in [0, 1], got {self.min_quality:g}")
+        check_range("min_quality", self.min_quality, 0.0, 1.0)
+        if not isinstance(self.workspace, Box | None):
+            raise InvalidInputError(f"workspace must be a Box or None, got {self.workspace!r}")
 
     def approach_ok(self, grasps: Grasps) -> Mask:
         """(M,): the approach lies in the cone."""

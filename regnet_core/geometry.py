@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from regnet_core.checks import as_transform, as_vector, is_number, shown
 from regnet_core.errors import InvalidInputError
 
 Array = npt.NDArray[np.float64]
@@ -23,9 +24,7 @@ class Box:
     upper: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
-        if lower.shape != (3,) or upper.shape != (3,):
-            raise InvalidInputError(f"a box needs two corners of 3 numbers, got {lower.shape} and {upper.shape}")
+        lower, upper = _corner(self.lower), _corner(self.upper)
         if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower < upper).all()):
             raise InvalidInputError(
                 f"a box needs lower < upper in x, y and z, got lower {lower.tolist()} and upper {upper.tolist()}"
@@ -36,7 +35,9 @@ class Box:
     def contains(self, points: npt.ArrayLike) -> Mask:
         """Which of the points (N, 3) lie inside, the faces included -> (N,)."""
         p = np.asarray(points)
-        lower, upper = np.asarray(self.lower, p.dtype), np.asarray(self.upper, p.dtype)
+        # Corners of the points' own type: a float32 point on a face counts as inside. Integers could not hold them.
+        dtype = p.dtype if p.dtype.kind == "f" else np.dtype(np.float64)
+        lower, upper = np.asarray(self.lower, dtype), np.asarray(self.upper, dtype)
         return ((p >= lower) & (p <= upper)).all(axis=-1)
 
     def corners(self) -> Array:
@@ -45,6 +46,16 @@ class Box:
 
     def _span(self, axis: int) -> tuple[float, float]:
         return self.lower[axis], self.upper[axis]
+
+
+def _corner(value: npt.ArrayLike) -> Array:
+    try:
+        corner = np.asarray(value)
+    except ValueError:  # nested sequences of different lengths
+        corner = np.zeros(0)
+    if corner.shape != (3,) or corner.dtype.kind not in "fiu":
+        raise InvalidInputError(f"a box needs two corners of 3 numbers, got {value!r}")
+    return corner.astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -60,9 +71,14 @@ class Plane:
 
 
 def transform_points(transform: npt.ArrayLike, points: npt.ArrayLike) -> Array:
-    """Points (N, 3) in the source frame, moved by ``transform`` (4, 4) into the target frame."""
-    matrix = np.asarray(transform, float)
-    return np.asarray(points) @ matrix[:3, :3].T + matrix[:3, 3]
+    """Points (N, 3) in the source frame, moved by ``transform`` (4, 4) into the target frame; infinity may become NaN.
+
+    Raises:
+        InvalidInputError: the transform is not a finite (4, 4) matrix.
+    """
+    matrix = as_transform("the transform", transform)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(points) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def pose_matrix(xyz: npt.ArrayLike, rpy: npt.ArrayLike) -> Array:
@@ -99,7 +115,7 @@ def check_cone(axis: npt.ArrayLike, max_angle: float) -> None:
     Raises:
         InvalidInputError: the axis has no direction, or the half-angle is not in (0, pi].
     """
-    if np.shape(axis) != (3,) or not 1e-6 < float(np.linalg.norm(np.asarray(axis, float))) < math.inf:
+    if not 1e-6 < math.hypot(*as_vector("approach_axis", axis)) < 1e100:
         raise InvalidInputError(f"approach_axis must be 3 numbers, not all zero, got {axis!r}")
-    if not 0.0 < max_angle <= math.pi:
-        raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {max_angle:g}")
+    if not is_number(max_angle) or not 0.0 < max_angle <= math.pi:
+        raise InvalidInputError(f"approach_max_angle must be in (0, pi] rad, got {shown(max_angle)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core import coder
+from regnet_core.checks import as_transform
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
@@ -24,12 +26,22 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
+def _numbers(name: str, value: npt.ArrayLike) -> Array:
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "fiu":
+            return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"grasps' {name} must be an array of numbers: {error}") from error
+    raise InvalidInputError(f"grasps' {name} must be an array of numbers, got {array.dtype}")
+
+
 @dataclass(frozen=True)
 class Grasps:
     """M grasps in one gravity-aligned frame (z up) [m]; results of detectors are ordered best first.
 
     Raises:
-        InvalidInputError: an array has the wrong shape.
+        InvalidInputError: an array has the wrong shape or does not hold numbers.
     """
 
     rotation: Array
@@ -47,8 +59,8 @@ class Grasps:
 
     def __post_init__(self) -> None:
         for name, shape in _SHAPES.items():
-            array = np.asarray(getattr(self, name), dtype=np.float64)
-            expected = (len(self.rotation), *shape)
+            array = _numbers(name, getattr(self, name))
+            expected = (np.shape(self.rotation)[:1] or (0,)) + shape
             if array.shape != expected:
                 raise InvalidInputError(f"grasps' {name} must have shape {expected}, got {array.shape}")
             object.__setattr__(self, name, array)
@@ -119,11 +131,11 @@ class Grasps:
 
     def tool_poses(self, T_grasp_tool: npt.ArrayLike) -> Array:
         """(M, 4, 4): the user's tool frame, given its pose (4, 4) in the grasp frame."""
-        return self.poses @ np.asarray(T_grasp_tool, float)
+        return self.poses @ as_transform("T_grasp_tool", T_grasp_tool)
 
     def transformed(self, T_target_source: npt.ArrayLike) -> Grasps:
         """The same grasps in another gravity-aligned frame, in that frame's canonical form."""
-        matrix = np.asarray(T_target_source, float)
+        matrix = as_transform("T_target_source", T_target_source)
         return Grasps.from_poses(
             matrix[:3, :3] @ self.rotation,
             self.translation @ matrix[:3, :3].T + matrix[:3, 3],
@@ -148,10 +160,21 @@ class Grasps:
         """Read what ``save`` wrote; nothing is unpickled.
 
         Raises:
-            InvalidInputError: an array is missing or has the wrong shape.
+            InvalidInputError: the file is missing or not an .npz, or an array is missing or has the wrong shape or
+                type.
         """
-        with np.load(Path(path), allow_pickle=False) as data:
-            missing = [name for name in _SHAPES if name not in data]
-            if missing:
-                raise InvalidInputError(f"{path} holds no grasps: it lacks {', '.join(missing)}")
-            return cls(**{name: data[name] for name in _SHAPES})
+        file = Path(path)
+        if not file.is_file():
+            raise InvalidInputError(f"there is no file '{file}'")
+        if not zipfile.is_zipfile(file):
+            raise InvalidInputError(f"'{file}' is not an .npz archive of grasps")
+        try:
+            with np.load(file, allow_pickle=False) as data:
+                missing = [name for name in _SHAPES if name not in data]
+                if missing:
+                    raise InvalidInputError(f"{path} holds no grasps: it lacks {', '.join(missing)}")
+                return cls(**{name: data[name] for name in _SHAPES})
+        except InvalidInputError:
+            raise
+        except Exception as error:  # numpy and zipfile raise whatever a damaged file makes them stumble over
+            raise InvalidInputError(f"'{file}' cannot be read as grasps: {error}") from error

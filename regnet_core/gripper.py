@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from regnet_core.checks import is_number, shown
 from regnet_core.errors import GripperError
 from regnet_core.geometry import Box
 
@@ -55,10 +56,10 @@ class Gripper:
     def __post_init__(self) -> None:
         for name, (low, high) in self.LIMITS.items():
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            if not is_number(value) or abs(value) == math.inf:
                 raise GripperError(f"gripper {name} must be a number of metres in [{low}, {high}], got {value!r}")
             if not low <= value <= high:
-                raise GripperError(f"gripper {name} must be in [{low}, {high}] m, got {value:g}")
+                raise GripperError(f"gripper {name} must be in [{low}, {high}] m, got {shown(value)}")
             object.__setattr__(self, name, float(value))
 
     def replace(self, **dimensions: float) -> Gripper:
@@ -86,6 +87,6 @@ class Gripper:
     def _half_opening(self, opening: float | None) -> float:
         if opening is None:
             return self.width / 2
-        if not 0.0 < opening <= self.width + 1e-9:
-            raise GripperError(f"opening must be in (0, {self.width:g}] m for this gripper, got {opening:g}")
+        if not is_number(opening) or not 0.0 < opening <= self.width + 1e-9:
+            raise GripperError(f"opening must be in (0, {self.width:g}] m for this gripper, got {shown(opening)}")
         return opening / 2

@@ -9,6 +9,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from regnet_core.checks import as_vector, is_number, shown
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, check_cone, within_cone
 from regnet_core.grasps import Grasps
@@ -50,12 +51,13 @@ class AnalyticPolicy:
 
     def __post_init__(self) -> None:
         for field, value in vars(self).items():
-            if not math.isfinite(value):
-                raise InvalidInputError(f"analytic policy: {field} must be a finite number, got {value}")
+            if not is_number(value) or abs(value) == math.inf:
+                raise InvalidInputError(f"analytic policy: {field} must be a finite number, got {value!r}")
 
     def score(self, quality: Array, vertical_score: Array) -> Array:
         """Scores (M,): the expected probability of success."""
-        reach = 1.0 / (1.0 + np.exp(-self.slope * (vertical_score - self.midpoint)))
+        with np.errstate(over="ignore"):  # a steep slope makes the term infinite, and the score 0, as it should
+            reach = 1.0 / (1.0 + np.exp(-self.slope * (vertical_score - self.midpoint)))
         return (self.quality_gain * quality + self.quality_offset) * reach
 
 
@@ -73,16 +75,21 @@ def make_policy(name: str, **constants: float) -> Policy:
     """
     if name not in POLICIES:
         raise InvalidInputError(f"no policy '{name}'; there are {', '.join(POLICIES)}")
-    try:
-        return POLICIES[name](**constants)
-    except TypeError as error:
-        known = ", ".join(f.name for f in fields(POLICIES[name])) or "none"
-        raise InvalidInputError(f"policy '{name}' takes the constants {known}; got {', '.join(constants)}") from error
+    known = [f.name for f in fields(POLICIES[name])]
+    if not constants.keys() <= set(known):
+        raise InvalidInputError(
+            f"policy '{name}' takes the constants {', '.join(known) or 'none'}; got {', '.join(constants)}"
+        )
+    return POLICIES[name](**constants)
 
 
 @dataclass(frozen=True)
 class SelectionLimits:
-    """What the robot can do; the defaults accept everything."""
+    """What the robot can do; the defaults accept everything.
+
+    Raises:
+        InvalidInputError: a limit makes no sense.
+    """
 
     approach_axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
     approach_max_angle: float = math.pi
@@ -95,9 +102,15 @@ class SelectionLimits:
     workspace: Box | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.reach_min < self.reach_max:
-            raise InvalidInputError(f"reach needs 0 <= min < max, got {self.reach_min:g} and {self.reach_max:g} m")
+        ordered = is_number(self.reach_min) and is_number(self.reach_max) and 0.0 <= self.reach_min < self.reach_max
+        if not ordered:
+            raise InvalidInputError(
+                f"reach needs 0 <= min < max, got {shown(self.reach_min)} and {shown(self.reach_max)} m"
+            )
+        as_vector("reach_centre", self.reach_centre)
         check_cone(self.approach_axis, self.approach_max_angle)
+        if not isinstance(self.workspace, Box | None):
+            raise InvalidInputError(f"workspace must be a Box or None, got {self.workspace!r}")
 
     def accepts(self, grasps: Grasps) -> Mask:
         """(M,): the grasps within all limits."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from regnet_core.errors import InvalidInputError
+from regnet_core.checks import as_transform, is_number, is_whole, shown
+from regnet_core.errors import CloudError, InvalidInputError
 from regnet_core.geometry import Array, Box, Plane, transform_points
 from regnet_core.pointcloud import Index, crop, fit_support_plane, random_sample, validate_points, voxel_downsample
 from regnet_core.report import StepRecorder, StepReport
@@ -33,12 +34,16 @@ class PreprocessingConfig:
     """Whether to look for the plane that the objects stand on."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.voxel_size < np.inf:
+        if not isinstance(self.workspace, Box | None):
+            raise InvalidInputError(f"workspace must be a Box or None, got {self.workspace!r}")
+        if not is_number(self.voxel_size) or not 0.0 <= self.voxel_size < np.inf:
             raise InvalidInputError(
-                f"voxel_size must be 0 (off) or a positive number of metres, got {self.voxel_size:g}"
+                f"voxel_size must be 0 (off) or a positive number of metres, got {shown(self.voxel_size)}"
             )
-        if self.max_points < 0:
-            raise InvalidInputError(f"max_points must be 0 (off) or positive, got {self.max_points}")
+        for name in ("max_points", "seed"):
+            value = getattr(self, name)
+            if not is_whole(value) or value < 0:
+                raise InvalidInputError(f"{name} must be 0 or a positive whole number, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -72,15 +77,19 @@ def preprocess(
         config: what to keep.
 
     Raises:
-        CloudError: the points are not an (M, 3) array of numbers.
+        CloudError: the points are not an (M, 3) array of numbers, or the colours do not have their shape.
+        InvalidInputError: the transform is not a finite (4, 4) matrix.
     """
     config = config or PreprocessingConfig()
+    matrix = as_transform("T_target_source", T_target_source)
     rng, recorder = np.random.default_rng(config.seed), StepRecorder()
     with recorder.step("valid points") as step:
         valid, index = validate_points(points)
         step.kept, step.rejected = len(valid), len(np.asarray(points)) - len(valid)
+    if colors is not None and np.shape(colors) != np.shape(points):
+        raise CloudError(f"colors must have shape {np.shape(points)}, one row for each point, got {np.shape(colors)}")
     with recorder.step("transform") as step:
-        moved = transform_points(T_target_source, valid)
+        moved = transform_points(matrix, valid)
         step.kept = len(moved)
     with recorder.step("workspace") as step:
         inside = np.arange(len(moved)) if config.workspace is None else crop(moved, config.workspace)

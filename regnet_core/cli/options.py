@@ -65,7 +65,7 @@ PalmDepth = Annotated[
 ]
 Model = Annotated[str, typer.Option(help="What detects the grasps: see `regnet models`.")]
 Device = Annotated[str, typer.Option(help="Where it runs: auto or cpu.")]
-Seed = Annotated[int, typer.Option(help="The same seed gives the same grasps.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same grasps.")]
 PolicyName = Annotated[
     str, typer.Option("--policy", help=f"What selects the grasp to execute: {' or '.join(POLICIES)}.")
 ]

@@ -61,6 +61,7 @@ def as_record(result: Result) -> dict[str, Any]:
         "steps": [asdict(step) for step in report.steps],
         "total_seconds": report.total_seconds,
         "reason": report.reason,
+        "warnings": list(report.warnings),
         "policy": result.policy,
         "selected": None
         if result.selection is None

@@ -33,6 +33,8 @@ def print_result(console: Console, result: Result, top: int) -> None:
         f"[bold]{len(grasps)} grasps[/bold] in {1000 * report.total_seconds:.0f} ms"
     )
     console.print(_steps_table(report))
+    for warning in report.warnings:
+        console.print(f"[yellow]warning:[/yellow] {escape(warning)}", soft_wrap=True)
     if result.selection is None:
         console.print(f"[bold red]no grasp:[/bold red] {escape(report.reason or 'none was selected')}", soft_wrap=True)
         return

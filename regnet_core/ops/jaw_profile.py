@@ -11,16 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import VoxelGrid, cell_range
+from regnet_core.ops.voxel_grid import VoxelGrid, along_approach, cells_of_box
 
 _BIN = 0.002
 """Width of a bin of the profile [m]."""
-_MAX_SLAB_POINTS = 8192
+_SLAB_POINTS = 4096
+"""Room for the points between the pads at first; it grows for the few candidates that need more."""
 
 
 class JawProfile(NamedTuple):
@@ -84,22 +85,17 @@ def jaw_profile(
     return JawProfile(found, *np.ascontiguousarray(out.T))
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _gather(pose, c, sizes, points, normals, observed, starts, origin, shape, cell, bins, ys, xs, cosines, seen):  # type: ignore[no-untyped-def]
-    """Fill the profile's bins, and the list of points that the pads would touch; returns their number."""
+    """Fill the profile's bins, and the lists of the points that the pads would touch; returns how many there are.
+
+    Those that the lists have no room for are only counted.
+    """
     width, depth, half_height, thickness, margin, _ = sizes
     reach = width + thickness + 2 * margin
     bins[:] = 0
-    low, high = np.empty(3), np.empty(3)
-    for a in range(3):
-        centre = c[a] + pose[a, 0] * depth / 2
-        half = (
-            abs(pose[a, 0]) * (depth / 2 + margin) + abs(pose[a, 1]) * reach + abs(pose[a, 2]) * (half_height + margin)
-        )
-        low[a], high[a] = centre - half, centre + half
-    i0, i1 = cell_range(low[0], high[0], origin[0], cell, shape[0])
-    j0, j1 = cell_range(low[1], high[1], origin[1], cell, shape[1])
-    k0, k1 = cell_range(low[2], high[2], origin[2], cell, shape[2])
+    half = (depth / 2 + margin, reach, half_height + margin)
+    i0, i1, j0, j1, k0, k1 = cells_of_box(pose, along_approach(pose, c, depth / 2), half, origin, cell, shape)
     n = 0
     if k1 < k0:
         return 0
@@ -118,14 +114,17 @@ def _gather(pose, c, sizes, points, normals, observed, starts, origin, shape, ce
                 if abs(y) >= reach:
                     continue
                 bins[int((y + reach) / _BIN)] += 1
-                if abs(z) <= half_height and x <= depth and n < _MAX_SLAB_POINTS:
-                    ys[n], xs[n], seen[n] = y, x, observed[p]
-                    cosines[n] = normals[p, 0] * pose[0, 1] + normals[p, 1] * pose[1, 1] + normals[p, 2] * pose[2, 1]
+                if abs(z) <= half_height and x <= depth:
+                    if n < len(ys):
+                        ys[n], xs[n], seen[n] = y, x, observed[p]
+                        cosines[n] = (
+                            normals[p, 0] * pose[0, 1] + normals[p, 1] * pose[1, 1] + normals[p, 2] * pose[2, 1]
+                        )
                     n += 1
     return n
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _occupied_run(bins, middle, need):  # type: ignore[no-untyped-def]
     """First and last bin of the occupied run at ``middle``, and the empty bins beyond each; ``need`` of them end it."""
     size = len(bins)
@@ -160,7 +159,7 @@ def _occupied_run(bins, middle, need):  # type: ignore[no-untyped-def]
     return first, last, free_low, free_high
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _contact(ys, xs, cosines, seen, n, limit, sign, patch):  # type: ignore[no-untyped-def]
     """Mean cosine, observed share and mean x of the points within ``patch`` of ``limit``, inwards."""
     total, cos, seen_count, x = 0, 0.0, 0, 0.0
@@ -175,21 +174,28 @@ def _contact(ys, xs, cosines, seen, n, limit, sign, patch):  # type: ignore[no-u
     return cos / total, seen_count / total, x / total
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _profile(  # type: ignore[no-untyped-def]
     rotation, translation, sizes, points, normals, observed, starts, origin, shape, cell, begin, end, found, out
 ):
     width, _, _, thickness, margin, patch = sizes
     reach = width + thickness + 2 * margin
     bins = np.zeros(int(2 * reach / _BIN) + 2, np.int32)
-    ys, xs, cosines = np.empty(_MAX_SLAB_POINTS), np.empty(_MAX_SLAB_POINTS), np.empty(_MAX_SLAB_POINTS)
-    seen = np.empty(_MAX_SLAB_POINTS, np.bool_)
+    room = _SLAB_POINTS
+    ys, xs, cosines, seen = np.empty(room), np.empty(room), np.empty(room), np.empty(room, np.bool_)
     need = int(np.ceil((thickness + 2 * margin) / _BIN))
     for c in range(begin, end):
         n = _gather(
             rotation[c], translation[c], sizes, points, normals, observed, starts, origin, shape, cell,
             bins, ys, xs, cosines, seen,
         )  # fmt: skip
+        if n > room:
+            room = 2 * n
+            ys, xs, cosines, seen = np.empty(room), np.empty(room), np.empty(room), np.empty(room, np.bool_)
+            n = _gather(
+                rotation[c], translation[c], sizes, points, normals, observed, starts, origin, shape, cell,
+                bins, ys, xs, cosines, seen,
+            )  # fmt: skip
         if n < 4:
             continue
         first, last, free_low, free_high = _occupied_run(bins, int(reach / _BIN), need)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from regnet_core.geometry import Array
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
 from regnet_core.ops.voxel_grid import VoxelGrid, cell_range
 
@@ -30,18 +30,21 @@ def local_planes(grid: VoxelGrid, queries: Array, radius: float) -> LocalPlanes:
     """Fit a plane to the grid's points within ``radius`` [m] of each query (Q, 3)."""
     count = np.zeros(len(queries), np.int64)
     mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
+    normal, roughness = np.zeros((len(queries), 3)), np.zeros(len(queries))
 
     def run(start: int, stop: int) -> None:
         _moments(
             queries, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, count, mean, cov
         )
+        values, vectors = np.linalg.eigh(cov[start:stop])  # releases the GIL too
+        normal[start:stop] = vectors[:, :, 0]
+        roughness[start:stop] = np.sqrt(np.maximum(values[:, 0], 0.0))
 
     for_each_range(run, len(queries))
-    values, vectors = np.linalg.eigh(cov)
-    return LocalPlanes(mean, np.ascontiguousarray(vectors[:, :, 0]), np.sqrt(np.maximum(values[:, 0], 0.0)), count)
+    return LocalPlanes(mean, normal, roughness, count)
 
 
-@njit(nogil=True, cache=True)
+@compiled
 def _moments(queries, radius, points, starts, origin, shape, cell, begin, end, count, mean, cov):  # type: ignore[no-untyped-def]
     for q in range(begin, end):
         x, y, z = queries[q]

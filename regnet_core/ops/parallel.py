@@ -19,6 +19,16 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(available_cores(), thread_name_prefix="regnet-ops")
 
 
+def _forget() -> None:
+    _pool.cache_clear()
+    available_cores.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    # A forked process inherits the pool but not its threads: work given to it would wait for ever.
+    os.register_at_fork(after_in_child=_forget)
+
+
 def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 256) -> None:
     """Call ``kernel(start, stop)`` for ranges that together cover ``range(count)``.
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from regnet_core.geometry import Array
+from regnet_core.ops.compiled import inlined
 
 _MAX_CELLS = 4_000_000
 """Clouds so wide that they would need more cells get larger ones."""
@@ -49,9 +49,31 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
     return VoxelGrid(np.ascontiguousarray(points[order]), order, start, origin, shape, float(cell))
 
 
-@njit(nogil=True, cache=True, inline="always")
+@inlined
 def cell_range(low: float, high: float, origin: float, cell: float, size: int) -> tuple[int, int]:
     """First and last cell along one axis that [low, high] touches; an empty range when it misses the grid."""
     first = int(np.floor((low - origin) / cell))
     last = int(np.floor((high - origin) / cell))
     return max(first, 0), min(last, size - 1)
+
+
+@inlined
+def cells_of_box(pose, centre, half, origin, cell, shape):  # type: ignore[no-untyped-def]
+    """First and last cells i0, i1, j0, j1, k0, k1 that a turned box can touch.
+
+    ``pose`` (3, 3) has the box's axes as columns, ``centre`` (3 numbers) is its middle in the grid's frame and ``half``
+    (3 numbers) its half lengths [m].
+    """
+    x = abs(pose[0, 0]) * half[0] + abs(pose[0, 1]) * half[1] + abs(pose[0, 2]) * half[2]
+    y = abs(pose[1, 0]) * half[0] + abs(pose[1, 1]) * half[1] + abs(pose[1, 2]) * half[2]
+    z = abs(pose[2, 0]) * half[0] + abs(pose[2, 1]) * half[1] + abs(pose[2, 2]) * half[2]
+    i0, i1 = cell_range(centre[0] - x, centre[0] + x, origin[0], cell, shape[0])
+    j0, j1 = cell_range(centre[1] - y, centre[1] + y, origin[1], cell, shape[1])
+    k0, k1 = cell_range(centre[2] - z, centre[2] + z, origin[2], cell, shape[2])
+    return i0, i1, j0, j1, k0, k1
+
+
+@inlined
+def along_approach(pose, c, x):  # type: ignore[no-untyped-def]
+    """The point (3 numbers) at the distance ``x`` [m] from ``c`` along the first axis of ``pose``."""
+    return c[0] + pose[0, 0] * x, c[1] + pose[1, 0] * x, c[2] + pose[2, 0] * x

@@ -66,7 +66,7 @@ def test_the_tables_show_steps_grasps_and_the_selected_one(clouds, capsys):
 def test_no_grasp_is_exit_code_3_with_the_reason(clouds, capsys):
     code, out, err = run(capsys, "detect", clouds / "table.npy")
     assert (code, err) == (3, "")
-    assert "no grasp: only 0 usable points above the support plane" in out
+    assert "no grasp: nothing stands on the support plane" in out
 
 
 def test_quiet_prints_nothing(clouds, capsys):
@@ -159,7 +159,7 @@ def test_the_sensor_pose_brings_a_camera_cloud_upright(clouds, capsys):
     expected = GraspDetector().detect(BOX, viewpoint=CAMERA_POSE[:3]).grasps
     assert len(record["grasps"]) == pytest.approx(len(expected), rel=0.1)
     np.testing.assert_allclose(record["grasps"][0]["translation"], expected.translation[0], atol=0.03)
-    assert record["grasps"][0]["translation"][2] == pytest.approx(0.85, abs=0.08)
+    assert 0.75 < record["grasps"][0]["translation"][2] < 0.93
 
 
 def test_the_detector_is_told_where_the_camera_was(clouds, capsys, monkeypatch):
@@ -231,6 +231,7 @@ def test_a_png_alone_of_a_scene_without_grasps(clouds, capsys, tmp_path):
         ("unknown suffix '.txt'", ["cloud.txt"]),
         ("there is no bag 'gone.mcap'", ["gone.mcap"]),
         ("gripper width must be in [0.03, 0.16] m, got 0.5", ["BOX", "-w", 0.5]),
+        ("Invalid value for '--seed'", ["BOX", "--seed", -1]),
         ("gripper depth must be in", ["BOX", "--gripper-depth", 9]),
         ("'--gripper-width'", ["BOX", "-w", "wide"]),
         ("no model 'magic'; there are", ["BOX", "--model", "magic"]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from regnet_core import Grasps, Gripper, Plane
+from regnet_core import Grasps, Gripper, InvalidInputError, Plane
 from regnet_core.collision import CollisionConfig, SceneCollision, lowest_height
 
 TABLE = Plane((0.0, 0.0, 1.0), 0.75)
@@ -85,3 +85,10 @@ def test_table_by_hand(tip_height: float, hits: bool) -> None:
     assert scene.with_table(grasp, Gripper())[0] == hits
     assert not SceneCollision(np.zeros((0, 3)), None).with_table(grasp, Gripper())[0]
     assert not scene.with_points(grasp, Gripper())[0]
+
+
+@pytest.mark.parametrize("field", ["margin", "max_points", "table_clearance"])
+@pytest.mark.parametrize("value", [-1, np.nan, np.inf, "1", None, True])
+def test_limits_without_sense_are_refused(field: str, value: object) -> None:
+    with pytest.raises(InvalidInputError, match=f"{field} must be a finite number of at least 0"):
+        CollisionConfig(**{field: value})

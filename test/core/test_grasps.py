@@ -82,3 +82,27 @@ def test_fingertips_and_tool_frame_by_hand() -> None:
     tool = np.eye(4)
     tool[0, 3] = -0.1  # a flange 10 cm behind the grasp centre
     assert np.allclose(one.tool_poses(tool)[0, :3, 3], [0.1, 0.2, 1.0])
+
+
+@pytest.mark.parametrize("field", ["rotation", "width"])
+def test_arrays_of_texts_are_refused(field: str, grasps: Grasps, tmp_path: Path) -> None:
+    arrays = dict(vars(grasps)) | {field: np.full(getattr(grasps, field).shape, "abc")}
+    with pytest.raises(InvalidInputError, match=f"{field} must be an array of numbers"):
+        Grasps(**arrays)
+    np.savez(tmp_path / "texts.npz", **arrays)
+    with pytest.raises(InvalidInputError, match=f"{field} must be an array of numbers"):
+        Grasps.load(tmp_path / "texts.npz")
+
+
+def test_files_that_are_no_archive_of_arrays_are_refused_by_name(grasps: Grasps, tmp_path: Path) -> None:
+    with (tmp_path / "array.npz").open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    (tmp_path / "text.npz").write_text("no grasps")
+    (tmp_path / "empty.npz").touch()
+    np.savez(tmp_path / "pickled.npz", **(dict(vars(grasps)) | {"width": np.array([{}], object)}))
+    grasps.save(tmp_path / "cut.npz")
+    content = (tmp_path / "cut.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(content[:100] + bytes(200) + content[300:])
+    for name in ("array", "text", "empty", "pickled", "cut", "missing"):
+        with pytest.raises(InvalidInputError, match=f"{name}.npz'"):
+            Grasps.load(tmp_path / f"{name}.npz")

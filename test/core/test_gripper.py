@@ -1,6 +1,7 @@
 """The gripper's bodies against dimensions worked out by hand."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -41,3 +42,15 @@ def test_impossible_dimensions_are_refused_with_the_range(field: str, value: flo
 def test_an_opening_beyond_the_width_is_refused(opening: float) -> None:
     with pytest.raises(GripperError, match="opening must be in"):
         Gripper(width=0.08).bodies(opening)
+
+
+@pytest.mark.parametrize("value", [np.float32(0.08), np.float64(0.08), Fraction(8, 100)])
+def test_numbers_of_any_type_are_dimensions(value: float) -> None:
+    assert Gripper(width=value).width == pytest.approx(0.08)
+    assert type(Gripper(width=value).width) is float
+
+
+def test_whole_numbers_of_numpy_are_dimensions_where_the_range_has_one() -> None:
+    with pytest.raises(GripperError, match=r"must be in .* got 1"):
+        Gripper(width=np.int64(1))
+    assert Gripper(width=0.08).closing_region(np.float32(0.05)).upper[1] == pytest.approx(0.025)

@@ -186,6 +186,8 @@ def broken_files(folder: Path) -> dict[str, str]:
     """Files that are no point clouds, and what the error must say of each."""
     pcd(folder / "short.pcd", "binary", BINARY_BODY[:-16])
     pcd(folder / "no_z.pcd", "ascii", b"1 2 3\n" * 4, fields="x y rgb")
+    (folder / "no_fields.pcd").write_text("# .PCD v0.7\nVERSION 0.7\nWIDTH 4\nHEIGHT 1\nPOINTS 4\nDATA ascii\n")
+    (folder / "no_xy.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty float z\nend_header\n1\n")
     pcd(folder / "garbage.pcd", "binary_compressed", b"\xff" * 40)
     (folder / "text.pcd").write_text("these are not points\n")
     (folder / "empty.pcd").write_bytes(b"")
@@ -202,6 +204,8 @@ def broken_files(folder: Path) -> dict[str, str]:
     return {
         "short.pcd": "truncated.*promises 4 points, it holds 3",
         "no_z.pcd": "lacks z; it has: x, y, rgb",
+        "no_fields.pcd": "cannot be read as .pcd: fields: Field required; size: Field required",
+        "no_xy.ply": "lacks x, y; it has: z",
         "garbage.pcd": "cannot be read as .pcd",
         "text.pcd": "cannot be read as .pcd",
         "empty.pcd": "cannot be read as .pcd",
@@ -358,6 +362,27 @@ def test_damaged_bags_are_refused_by_name(bag, tmp_path):
     (broken / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [gone.mcap]}")
     with pytest.raises(CloudError, match="lacks gone"):
         read_bag_clouds(broken)
+
+
+def test_a_metadata_file_that_is_none_is_named_in_one_line(bag, tmp_path):
+    for content, message in {
+        "a: [1, 2\nb: 3\n": r"metadata.yaml' is not valid YAML: .* in line 2$",
+        "other: 1\n": "has no list rosbag2_bagfile_information, relative_file_paths",
+        "": "has no list",
+        "rosbag2_bagfile_information: {relative_file_paths: a.mcap}": "has no list",
+        "a: \0": "is not a text file",
+    }.items():
+        (tmp_path / "metadata.yaml").write_text(content)
+        with pytest.raises(CloudError, match=message) as caught:
+            cloud_topics(tmp_path)
+        assert "\n" not in str(caught.value) and "Mark" not in str(caught.value)
+
+
+def test_the_case_of_the_suffix_does_not_matter(bag, tmp_path):
+    content = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "CLOUDS.MCAP").write_bytes(content)
+    assert is_bag(tmp_path / "CLOUDS.MCAP")
+    assert cloud_topics(tmp_path / "CLOUDS.MCAP") == cloud_topics(tmp_path) == cloud_topics(bag)
 
 
 def rewritten(bag: Path, target: Path, encoding: str = "ros2msg", **settings: object) -> Path:

@@ -1,6 +1,7 @@
 """The selection policies against values computed by hand, and the limits of the robot."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -95,3 +96,15 @@ def test_limits_of_the_robot() -> None:
 def test_limits_without_sense_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidInputError):
         SelectionLimits(**wrong)
+
+
+def test_a_very_steep_slope_is_a_step_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        score = AnalyticPolicy(quality_gain=1.0, quality_offset=0.0, slope=1e5).score(np.full(2, 0.5), np.array([0, 1]))
+    assert score.tolist() == [0.0, 0.5]
+
+
+def test_a_constant_that_is_no_number_is_not_called_unknown() -> None:
+    with pytest.raises(InvalidInputError, match="slope must be a finite number, got 'x'"):
+        make_policy("analytic", slope="x")

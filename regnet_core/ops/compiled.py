@@ -1,0 +1,30 @@
+"""How functions are compiled: without the GIL, and with a cache on disk where there is a place for one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile the function at its first call; later processes take it from the cache.
+
+    numba keeps the cache beside the source file or in the user's home. Where it can write to neither (a read-only
+    installation, a service without a home), each process compiles anew, which takes some seconds.
+
+    The key of a cache entry is the text of the function's own file only: after an edit of an ``inlined`` function the
+    caches of the files that use it are stale. Delete their ``__pycache__/*.nbi`` then.
+    """
+    try:
+        return cast(Function, njit(nogil=True, cache=True)(function))
+    except RuntimeError:  # numba's way to say that no locator finds a place for the cache
+        return cast(Function, njit(nogil=True)(function))
+
+
+def inlined(function: Function) -> Function:
+    """Make the function part of every compiled function that calls it; it has no cache of its own."""
+    return cast(Function, njit(nogil=True, inline="always")(function))

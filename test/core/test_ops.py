@@ -1,0 +1,146 @@
+"""The compiled kernels: known answers, the same on any number of cores and threads, after a fork, without a cache."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from regnet_core import Grasps, Gripper
+from regnet_core.collision import SceneCollision
+from regnet_core.ops import compiled, parallel
+from regnet_core.ops.jaw_profile import JawProfile, jaw_profile
+from regnet_core.ops.local_planes import local_planes
+from regnet_core.ops.voxel_grid import build_grid
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(-0.1, 0.1, (6000, 3))
+NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+ROTATION = Rotation.random(3000, random_state=1).as_matrix()
+CENTRES = RNG.uniform(-0.2, 0.2, (3000, 3))
+
+
+def every_kernel() -> list[np.ndarray]:
+    grid = build_grid(POINTS, 0.012)
+    profile = jaw_profile(ROTATION, CENTRES, Gripper(), grid, NORMALS[grid.order], np.arange(6000) % 2 == 0)
+    planes = local_planes(grid, POINTS, 0.012)
+    grasps = Grasps.from_poses(ROTATION, CENTRES, np.full(3000, 0.05), np.ones(3000))
+    return [*profile, *planes, *SceneCollision(POINTS, None).occupancy(grasps, Gripper())]
+
+
+def assert_same(a: list[np.ndarray], b: list[np.ndarray]) -> None:
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("cores", [1, 2, 7])
+def test_the_result_does_not_depend_on_the_number_of_cores(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = every_kernel()
+    assert expected[0].any() and expected[-2].any()
+    with ThreadPoolExecutor(cores) as pool:
+        monkeypatch.setattr(parallel, "available_cores", lambda: cores)
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        assert_same(every_kernel(), expected)
+
+
+def test_several_threads_may_call_at_a_time() -> None:
+    expected = every_kernel()
+    with ThreadPoolExecutor(4) as callers:
+        for result in [callers.submit(every_kernel) for _ in range(8)]:
+            assert_same(result.result(timeout=60), expected)
+
+
+def finished(script: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, timeout=120)
+
+
+def test_a_forked_process_can_go_on_working() -> None:
+    script = """
+import os, signal
+from regnet_core.ops.parallel import for_each_range
+done = []
+def work():
+    done.clear()
+    for_each_range(lambda start, stop: done.append(stop - start), 5000)
+    return sum(done)
+assert work() == 5000
+child = os.fork()
+if child == 0:
+    signal.alarm(20)
+    os._exit(0 if work() == 5000 else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), work())
+"""
+    result = finished(script)
+    assert (result.stdout, result.stderr) == ("0 5000\n", "")
+
+
+def test_without_a_place_for_the_cache_functions_are_compiled_all_the_same() -> None:
+    script = """
+from numba.core import caching
+cache = getattr(caching, "CacheImpl", None) or caching._CacheImpl
+cache._locator_classes = []
+import numpy as np
+import regnet_core
+from regnet_core.ops.local_planes import local_planes
+from regnet_core.ops.voxel_grid import build_grid
+points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [0.1, 0.1, 0.0]
+print(np.abs(local_planes(build_grid(points, 0.05), points, 0.05).normal[:, 2]).min() > 0.999)
+"""
+    result = finished(script)
+    assert (result.stdout, result.stderr) == ("True\n", "")
+
+
+def test_an_error_in_the_function_itself_is_not_hidden() -> None:
+    def wrong(x: float) -> float:
+        return x.no_such_thing  # type: ignore[attr-defined, no-any-return]
+
+    with pytest.raises(Exception, match="no_such_thing"):
+        compiled.compiled(wrong)(1.0)
+
+
+def test_local_planes_equal_those_of_each_neighbourhood() -> None:
+    result = local_planes(build_grid(POINTS, 0.015), POINTS[:300], 0.02)
+    for i, query in enumerate(POINTS[:300]):
+        near = POINTS[np.linalg.norm(POINTS - query, axis=1) <= 0.02]
+        assert result.neighbours[i] == len(near)
+        np.testing.assert_allclose(result.mean[i], near.mean(axis=0), atol=1e-12)
+        values, vectors = np.linalg.eigh(np.cov(near.T, bias=True).reshape(3, 3))
+        assert result.roughness[i] == pytest.approx(np.sqrt(max(values[0], 0.0)), abs=1e-7)
+        if len(near) > 5:
+            assert abs(result.normal[i] @ vectors[:, 0]) > 1 - 1e-6
+
+
+def wall(y: float, step: float) -> np.ndarray:
+    x, z = np.meshgrid(np.arange(0.002, 0.198, step), np.arange(-0.048, 0.048, step))
+    return np.column_stack([x.ravel(), np.full(x.size, y), z.ravel()])
+
+
+def profile_of(points: np.ndarray, gripper: Gripper) -> JawProfile:
+    grid = build_grid(points, 0.012)
+    normals = np.sign(points[grid.order]) * [0.0, 1.0, 0.0]
+    return jaw_profile(np.eye(3)[None], np.zeros((1, 3)), gripper, grid, normals, np.ones(len(points), bool))
+
+
+def test_a_dense_surface_between_large_fingers_is_seen_whole() -> None:
+    gripper = Gripper(width=0.16, depth=0.2, height=0.1)
+    middle = np.array([[0.1, 0.0, 0.0]])
+    points = np.concatenate([wall(-0.05, 0.0015), middle, wall(0.05, 0.0015), middle])
+    assert len(points) > 16000  # more than there is room for at first
+    points[:, 1] += np.where(points[:, 1] == 0.0, 0.0, np.where(points[:, 0] > 0.19, np.sign(points[:, 1]) * 0.005, 0))
+    filled = np.concatenate([points, *([[0.1, y, 0.0]] for y in np.arange(-0.05, 0.05, 0.001))])
+    profile = profile_of(filled, gripper)
+    assert profile.found[0]
+    assert (profile.low[0], profile.high[0]) == pytest.approx((-0.055, 0.055), abs=1e-9)
+    assert (profile.cos_low[0], profile.cos_high[0]) == pytest.approx((1.0, 1.0))
+
+
+def test_the_profile_of_a_plate_by_hand() -> None:
+    plate = np.concatenate([wall(-0.003, 0.003), wall(0.003, 0.003)])
+    profile = profile_of(plate, Gripper(width=0.08))
+    assert profile.found[0]
+    assert (profile.low[0], profile.high[0]) == pytest.approx((-0.003, 0.003))
+    assert (profile.cos_low[0], profile.cos_high[0], profile.evidence[0]) == pytest.approx((1.0, 1.0, 1.0))
+    apart = profile_of(np.concatenate([wall(-0.045, 0.003), wall(0.045, 0.003)]), Gripper(width=0.08))
+    assert not apart.found[0]
