@@ -13,6 +13,10 @@ class CloudError(InvalidInputError):
     """The point cloud has the wrong shape or type."""
 
 
+class BagError(CloudError):
+    """A recording cannot be read, or does not hold what is wanted."""
+
+
 class GripperError(InvalidInputError):
     """A dimension of the gripper is outside the range that is supported."""
 

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
-from mcap.reader import McapReader, make_reader
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from regnet_core.errors import InvalidInputError
+from regnet_core.errors import BagError
+from regnet_core.io.mcap_files import bag_files, open_mcap
 
 _DEFAULT_DEPTH = 10
 _LATCHED_TOPICS = ("/tf_static",)
-
-
-class BagError(InvalidInputError):
-    """The bag cannot be read or played."""
 
 
 class BagTopic(NamedTuple):
@@ -53,10 +48,10 @@ class Bag:
             BagError: the path is no readable bag.
         """
         self.path = Path(path)
-        self._files = _bag_files(self.path)
+        self._files = bag_files(self.path)
         self.topics: dict[str, BagTopic] = {}
         for file in self._files:
-            with _reading(file) as reader:
+            with open_mcap(file) as reader:
                 summary = reader.get_summary()
                 if summary is None:
                     raise BagError("the file has no index: it was not closed; mend it with `mcap recover`")
@@ -73,7 +68,7 @@ class Bag:
             BagError: a file is damaged.
         """
         for file in self._files:
-            with _reading(file) as reader:
+            with open_mcap(file) as reader:
                 for _, channel, message in reader.iter_messages(topics):
                     yield BagMessage(channel.topic, message.log_time, message.data)
 
@@ -118,36 +113,3 @@ def _duration(value: dict[str, int]) -> Duration:
     """A lifespan; without limit where it was not set (rosbag2 writes the greatest number)."""
     seconds = int(value.get("sec", 0))
     return Duration(seconds=seconds, nanoseconds=int(value.get("nsec", 0))) if seconds < 10**9 else Duration()
-
-
-def _bag_files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise BagError(f"there is no bag '{path}'")
-    files = sorted(path.glob("*.mcap"))
-    metadata = path / "metadata.yaml"
-    if metadata.is_file():
-        try:
-            named = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]["relative_file_paths"]
-        except (yaml.YAMLError, LookupError, TypeError) as error:
-            raise BagError(f"'{metadata}' is not a rosbag2 metadata file: {error!r}") from error
-        files = [path / name for name in named if str(name).endswith(".mcap")]
-    missing = [file.name for file in files if not file.is_file()]
-    if missing:
-        raise BagError(f"the bag '{path}' lacks {', '.join(missing)}, which its metadata.yaml names")
-    if not files:
-        raise BagError(f"the folder '{path}' holds no .mcap file; convert other bags with `ros2 bag convert`")
-    return files
-
-
-@contextlib.contextmanager
-def _reading(file: Path) -> Iterator[McapReader]:
-    """A reader; whatever goes wrong while it reads becomes a BagError (mcap raises errors of many kinds)."""
-    try:
-        with file.open("rb") as stream:
-            yield make_reader(stream)
-    except BagError as error:
-        raise BagError(f"'{file}': {error}") from error
-    except Exception as error:
-        raise BagError(f"'{file}' cannot be read as an MCAP file: {str(error) or type(error).__name__}") from error

@@ -20,8 +20,8 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from regnet_core.errors import InvalidInputError
-from regnet_ros.bag import Bag, BagError, message_class
+from regnet_core.errors import BagError, InvalidInputError
+from regnet_ros.bag import Bag, message_class
 
 _CLOCK_PERIOD = 0.01
 _NAP = 0.05

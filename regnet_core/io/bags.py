@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import yaml
-from mcap.reader import McapReader, make_reader
+from mcap.reader import McapReader
 from mcap_ros2.decoder import DecoderFactory
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array
+from regnet_core.io.mcap_files import bag_files, is_mcap, open_mcap
 from regnet_core.io.pointcloud2 import Colors, decode_cloud
 from regnet_core.io.transforms import FrameTree
 
@@ -49,7 +48,7 @@ class _Message(NamedTuple):
 
 def is_bag(path: str | Path) -> bool:
     """Whether the path is meant as a bag: a folder, or a file that ends in .mcap."""
-    return Path(path).is_dir() or Path(path).suffix == ".mcap"
+    return Path(path).is_dir() or is_mcap(Path(path))
 
 
 def cloud_topics(path: str | Path) -> dict[str, int]:
@@ -59,8 +58,8 @@ def cloud_topics(path: str | Path) -> dict[str, int]:
         CloudError: the path is no readable bag.
     """
     counts: dict[str, int] = {}
-    for file in _bag_files(Path(path)):
-        with _open(file) as reader:
+    for file in bag_files(Path(path)):
+        with open_mcap(file) as reader:
             for topic, count in _count(reader).items():
                 counts[topic] = counts.get(topic, 0) + count
     return dict(sorted(counts.items()))
@@ -83,17 +82,17 @@ def read_bag_clouds(path: str | Path, topic: str | None = None) -> Iterator[BagC
     wanted = [name for name, count in counts.items() if count and topic in (None, name)]
     if not wanted:
         raise CloudError(_nothing_found(Path(path), topic, counts))
-    return _read_clouds(_bag_files(Path(path)), wanted)
+    return _read_clouds(bag_files(Path(path)), wanted)
 
 
 def _read_clouds(files: list[Path], topics: list[str]) -> Iterator[BagCloud]:
     tree = FrameTree()
     for file in files:
-        with _open(file) as reader:
+        with open_mcap(file) as reader:
             for message in _messages(reader, [_STATIC_TOPIC]):
                 _add_transforms(message, tree)
     for file in files:
-        with _open(file) as reader:
+        with open_mcap(file) as reader:
             for message in _messages(reader, [*topics, _DYNAMIC_TOPIC]):
                 if message.type_name == _TF_TYPE:
                     _add_transforms(message, tree)
@@ -137,53 +136,6 @@ def _add_transforms(message: _Message, tree: FrameTree) -> None:
             (move.x, move.y, move.z),
             (turn.x, turn.y, turn.z, turn.w),
         )
-
-
-def _bag_files(path: Path) -> list[Path]:
-    """The .mcap files of a bag in their order."""
-    if not path.exists():
-        raise CloudError(f"there is no bag '{path}'")
-    if path.is_file():
-        return [path]
-    files = sorted(path.glob("*.mcap"))
-    metadata = path / "metadata.yaml"
-    if metadata.is_file():
-        named = [path / name for name in _named_files(metadata) if name.endswith(".mcap")]
-        missing = [file.name for file in named if not file.is_file()]
-        if missing:
-            raise CloudError(f"the bag '{path}' lacks {', '.join(missing)}, which its metadata.yaml names")
-        files = named or files
-    if not files:
-        others = ", ".join(sorted({file.suffix for file in path.iterdir() if file.suffix})) or "nothing"
-        raise CloudError(
-            f"the folder '{path}' holds no .mcap file (it holds {others}); other bags can be converted with "
-            "'ros2 bag convert'"
-        )
-    return files
-
-
-def _named_files(metadata: Path) -> list[str]:
-    try:
-        content = yaml.safe_load(metadata.read_text())
-        return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
-        raise CloudError(f"'{metadata}' is not a rosbag2 metadata file: {error!r}") from error
-
-
-@contextlib.contextmanager
-def _open(file: Path) -> Iterator[McapReader]:
-    """A reader of the file; whatever goes wrong while it is read becomes a CloudError that names the file.
-
-    mcap raises its own errors for some defects, struct, key, Unicode and compression errors for others.
-    """
-    try:
-        with file.open("rb") as stream:
-            yield make_reader(stream)
-    except CloudError as error:
-        raise CloudError(f"{file.name}: {error}") from error
-    except Exception as error:
-        detail = str(error) or type(error).__name__
-        raise CloudError(f"'{file}' cannot be read as an MCAP file: {detail}") from error
 
 
 def _count(reader: McapReader) -> dict[str, int]:

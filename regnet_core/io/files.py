@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +48,7 @@ def read_cloud_file(path: str | Path) -> CloudFile:
     except CloudError as error:
         raise CloudError(f"'{file}': {error}") from error
     except Exception as error:  # the libraries raise whatever a corrupt file makes them stumble over
-        raise CloudError(f"'{file}' cannot be read as {file.suffix}: {_first_line(error)}") from error
+        raise CloudError(f"'{file}' cannot be read as {file.suffix}: {_in_one_line(error)}") from error
 
 
 def _read_pcd(file: Path) -> CloudFile:
@@ -72,12 +72,15 @@ def _read_ply(file: Path) -> CloudFile:
     from trimesh.exchange.ply import load_ply
 
     with file.open("rb") as stream:
+        declared = _vertex_properties(stream)
+        if declared:
+            _require_axes(declared)  # load_ply would only say 'x'
+        stream.seek(0)
         content = load_ply(stream, fix_texture=False, skip_materials=True)
     vertex = content["metadata"]["_ply_raw"].get("vertex")
     if vertex is None:
         raise CloudError("the file has no element 'vertex'")
     names = tuple(vertex["properties"])
-    _require_axes(names)
     if vertex["length"] == 0:
         return CloudFile(np.zeros((0, 3), np.float32), None)
     columns = [np.asarray(vertex["data"][axis]).reshape(-1) for axis in "xyz"]
@@ -88,6 +91,21 @@ def _read_ply(file: Path) -> CloudFile:
     if len(channels) == 3:
         colors = _as_colors(np.stack([np.asarray(vertex["data"][name]).reshape(-1) for name in channels], axis=1))
     return CloudFile(_stack(columns), colors)
+
+
+def _vertex_properties(stream: BinaryIO) -> tuple[str, ...]:
+    """The names of the vertices' properties in a .ply file's header."""
+    names: list[str] = []
+    element = ""
+    for line in iter(lambda: stream.readline(4096), b""):
+        words = line.decode("ascii", "replace").split()
+        if words[:1] == ["end_header"]:
+            break
+        if words[:1] == ["element"] and len(words) > 1:
+            element = words[1]
+        elif words[:1] == ["property"] and element == "vertex":
+            names.append(words[-1])
+    return tuple(names)
 
 
 def _read_npy(file: Path) -> CloudFile:
@@ -140,7 +158,10 @@ def _as_colors(array: npt.NDArray[Any]) -> Colors:
     return np.clip(np.rint(array), 0, 255).astype(np.uint8)
 
 
-def _first_line(error: Exception) -> str:
+def _in_one_line(error: Exception) -> str:
+    """What a library's error says; pydantic's, which the .pcd reader raises for a bad header, lists several defects."""
+    if callable(defects := getattr(error, "errors", None)):
+        return "; ".join(f"{' '.join(map(str, d['loc']))}: {d['msg']}" for d in defects())
     lines = str(error).strip().splitlines()
     return lines[0] if lines else type(error).__name__
 

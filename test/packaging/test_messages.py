@@ -36,6 +36,7 @@ FIELDS = {
         "model": "string",
         "device": "string",
         "reason": "string",
+        "warnings": "sequence<string>",
         "total_seconds": "double",
     },
     SelectedGrasp: {

@@ -35,7 +35,7 @@ HEADER = Header(frame_id="world")
 def test_grasps_survive_the_wire() -> None:
     sent = grasps()
     steps = (StepReport("proposals", 10, 3, 0.25), StepReport("ranking", 4, 6, 0.001))
-    report = DetectionReport(steps, "made-up", "cpu", "", 0.5)
+    report = DetectionReport(steps, "made-up", "cpu", "", 0.5, ("the cloud is sparse",))
     message = grasp_array(HEADER, sent, Gripper(width=0.07), report)
     received = deserialize_message(serialize_message(message), GraspArray)
     back = grasps_from_messages(received.grasps)

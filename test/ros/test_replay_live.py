@@ -16,7 +16,8 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, PointCloud2
 
-from regnet_ros.bag import Bag, BagError, message_class, recorded_qos
+from regnet_core.errors import BagError
+from regnet_ros.bag import Bag, message_class, recorded_qos
 from regnet_ros.replay import Options, parse, split_arguments
 
 BAG = REPOSITORY / "bags" / "one_object"
