@@ -12,6 +12,7 @@ import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.utilities import remove_ros_args
 
 from regnet_core.errors import InvalidInputError
 from regnet_ros.node import GraspNode
@@ -26,6 +27,9 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
     """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
     # rclpy's own handlers shut the context down and call these. Python's would raise KeyboardInterrupt wherever it
     # strikes; a signal that comes before rclpy is ready is remembered.
+    unknown = _own_arguments(args)
+    if unknown:
+        return _explain_arguments(unknown)
     stops: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: stops.append(received))
@@ -68,6 +72,25 @@ def spin(node: GraspNode) -> None:
             node.crash(error, "in the executor")
     with contextlib.suppress(RCLError, InvalidHandle):
         executor.shutdown(timeout_sec=0.0)
+
+
+def _own_arguments(args: Sequence[str] | None) -> list[str]:
+    """What stands on the command line outside of ``--ros-args``."""
+    try:
+        return remove_ros_args(sys.argv)[1:] if args is None else remove_ros_args(list(args))
+    except RCLError:  # malformed ROS arguments: rclpy.init says so
+        return []
+
+
+def _explain_arguments(unknown: Sequence[str]) -> int:
+    usage = (
+        "a node takes ROS arguments only: --ros-args -p PARAMETER:=VALUE -r TOPIC:=TOPIC --params-file FILE; README.md "
+        "lists the parameters"
+    )
+    if set(unknown) <= {"-h", "--help"}:
+        print(usage)
+        return 0
+    return _refuse(f"unknown argument {' '.join(unknown)}; {usage}")
 
 
 def _refuse(message: str) -> int:

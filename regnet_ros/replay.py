@@ -26,6 +26,12 @@ from regnet_ros.bag import Bag, message_class
 _CLOCK_PERIOD = 0.01
 _NAP = 0.05
 """Longest sleep [s]: a signal is noticed so soon."""
+_SHORTEST_LOOP = 1.0
+"""A bag of a single message is played again after so long, at the recorded speed [s]."""
+_PATIENCE = 2.0
+"""How long to wait for subscribers unless told otherwise [s]; what is published before they are found is lost."""
+_HANDSHAKE = 0.2
+"""How long a subscriber that was found may need to find the publisher [s]."""
 _LAST_WORDS = 5.0
 """How long to wait at the end for reliable subscribers to have everything [s]."""
 
@@ -75,8 +81,10 @@ class Player:
     def play(self) -> int:
         """Play until the end, or for ever in a loop, or until the context shuts down; the number of messages."""
         self._wait_for_subscribers()
-        count = self._play_once()
+        start, count = time.monotonic(), self._play_once()
         while self._options.loop and self._running:
+            self._rest_until(start + _SHORTEST_LOOP / self._options.rate)
+            start = time.monotonic()
             count += self._play_once()
         deadline = Duration(seconds=_LAST_WORDS)
         for publisher in self._publishers.values():
@@ -113,14 +121,18 @@ class Player:
                 return
             time.sleep(min(left, _CLOCK_PERIOD if self._clock is not None else _NAP))
 
+    def _rest_until(self, due: float) -> None:
+        while self._running and (left := due - time.monotonic()) > 0.0:
+            time.sleep(min(left, _NAP))
+
     def _wait_for_subscribers(self) -> None:
         """Until every topic that was asked for by name, or else any topic, has a subscriber."""
         named = [self._publishers[name] for name in self._options.topics if name in self._publishers]
         deadline = time.monotonic() + self._options.patience
         while self._running and time.monotonic() < deadline:
-            if named and all(p.get_subscription_count() for p in named):
-                return
-            if not named and any(p.get_subscription_count() for p in self._publishers.values()):
+            found = [p.get_subscription_count() > 0 for p in named or self._publishers.values()]
+            if all(found) if named else any(found):
+                self._rest_until(time.monotonic() + _HANDSHAKE)
                 return
             time.sleep(_NAP)
         if self._options.patience > 0.0 and self._running:
@@ -169,9 +181,10 @@ def parse(arguments: Sequence[str]) -> Options:
         nargs="?",
         type=_seconds,
         const=math.inf,
-        default=0.0,
+        default=_PATIENCE,
         metavar="SECONDS",
-        help="begin once the topics of --topics, or else any topic, have a subscriber; wait for ever or so long",
+        help="begin once the topics of --topics, or else any topic, have a subscriber; wait so long, or for ever when "
+        f"no number is given (without this option: {_PATIENCE:g} s)",
     )
     given = parser.parse_args(list(arguments))
     return Options(

@@ -139,9 +139,12 @@ class Selector(GraspNode[SelectorParameters]):
         count, settings = len(candidates.grasps), self.settings
         if count == 0:
             return f"there is no grasp to select: {candidates.message.reason or 'the detector gave no reason'}"
-        rejected = f"{sum(rank < count for rank in excluded)} are rejected, the others" if excluded else "all"
+        rejected = sum(rank < count for rank in excluded)
+        if rejected == count:
+            return f"all {count} grasps are rejected"
+        others = f"{rejected} are rejected, the other {count - rejected}" if rejected else "all"
         return (
-            f"none of the {count} grasps can be selected: {rejected} lie outside the limits (approach within "
+            f"none of the {count} grasps can be selected: {others} lie outside the limits (approach within "
             f"{math.degrees(settings.approach_max_angle):.0f} degrees of {list(settings.approach_axis)}, "
             f"{settings.reach_min:g} to {settings.reach_max:g} m from {list(settings.reach_centre)})"
         )

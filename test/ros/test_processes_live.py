@@ -137,3 +137,13 @@ def test_the_names_go_when_the_nodes_end(system: System) -> None:
     process.signal(signal.SIGTERM)
     process.wait()
     assert wait_for(lambda: "selector" not in system.peer.node.get_node_names(), "the name to go")
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_arguments_that_would_be_ignored_are_refused(system: System, node: str) -> None:
+    process = system.start(node, "-p", "gripper_width:=0.06")
+    assert process.wait(10.0) == 2
+    assert "unknown argument -p gripper_width:=0.06; a node takes ROS arguments only: --ros-args" in process.output
+    helped = system.start(node, "--help")
+    assert helped.wait(10.0) == 0
+    assert "--ros-args" in helped.output

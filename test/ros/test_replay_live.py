@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from live import REPOSITORY, Inbox, System, wait_for
 from mcap.reader import make_reader
@@ -99,6 +100,26 @@ def test_a_loop_goes_on_until_a_signal(system: System) -> None:
     player.signal(signal.SIGTERM)
     assert player.wait() == 0, player.output
     assert "Traceback" not in player.output
+    arrivals.close()
+
+
+def test_a_bag_of_one_message_is_not_repeated_without_pause(system: System) -> None:
+    arrivals = Arrivals(system, PointCloud2, TOPIC)
+    bag = str(BAG.parent / "tilted_depth_only")
+    player = system.start("replay", bag, "--wait-for-subscribers", "--loop", "--rate", "4", "--topics", TOPIC)
+    wait_for(lambda: len(arrivals.times) >= 4, "the fourth round")
+    gaps = np.diff(arrivals.times[:4])
+    player.signal(signal.SIGINT)
+    assert player.wait() == 0, player.output
+    assert gaps.mean() > 0.2  # a quarter of a second at this rate
+    arrivals.close()
+
+
+def test_subscribers_are_waited_for_without_being_asked(system: System) -> None:
+    arrivals = Arrivals(system, PointCloud2, TOPIC)
+    player = system.start("replay", str(BAG), "--rate", "max", "--topics", TOPIC)
+    assert player.wait() == 0, player.output
+    wait_for(lambda: len(arrivals.times) == 4, "all four clouds")
     arrivals.close()
 
 

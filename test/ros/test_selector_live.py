@@ -190,7 +190,7 @@ def test_the_service_falls_to_the_next_rank(selector: Selector) -> None:
         rejected.append(expected)
     response = selector.peer.call(SelectGrasp, "select_grasp", SelectGrasp.Request(rejected_ranks=rejected))
     assert not response.success
-    assert "4 are rejected" in response.message
+    assert response.message == "all 4 grasps are rejected"
 
 
 def test_the_service_with_an_array_and_a_policy_of_its_own(selector: Selector) -> None:
