@@ -38,7 +38,7 @@ class CollisionConfig:
 
 
 class Occupancy(NamedTuple):
-    """How many points lie in each part of the hand; counting stops where it no longer matters."""
+    """How many points lie in each part of the hand."""
 
     palm: npt.NDArray[np.int64]
     """(M,)."""

@@ -47,7 +47,7 @@ class SceneConfig:
     plane_clearance: float = 0.007
     """Points nearer to the support plane belong to it [m]."""
     outlier_neighbours: int = 5
-    """A point with fewer neighbours within the neighbourhood's radius is a flying pixel."""
+    """A point with fewer neighbours within the neighbourhood's radius, or in a smaller cluster, is a flying pixel."""
     max_object_height: float = 0.5
     """What is taller and also wide is a wall, a person, furniture: an obstacle, but nothing to grasp [m]."""
     complete_hidden: bool = True
