@@ -12,6 +12,7 @@ from regnet_core.data.objects import ObjectModel, sample_object
 from regnet_core.data.scenes import Scene, default_table
 from regnet_core.errors import RegnetError
 from regnet_core.geometry import Box
+from regnet_core.sim.world import world_spec
 
 
 class SceneError(RegnetError):
@@ -106,7 +107,7 @@ class _Physics:
         self.objects = objects
         self.table = table
         self.config = config
-        self.model = _compile(objects, table, config)
+        self.model = world_spec(objects, table, (), config.timestep).compile()
         self.data = mujoco.MjData(self.model)
 
     def attempt(self, rng: np.random.Generator) -> bool:
@@ -192,37 +193,3 @@ class _Physics:
             position[:2] < upper[:2] - self.config.margin
         )
         return bool(inside and upper[2] - 0.005 < position[2] < upper[2] + 1.0)
-
-
-def _compile(objects: Sequence[ObjectModel], table: Box, config: DropConfig) -> mujoco.MjModel:
-    spec = mujoco.MjSpec()
-    spec.option.timestep = config.timestep
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    lower, upper = np.array(table.lower), np.array(table.upper)
-    # Stiff contacts, so that resting objects sink by far less than a depth camera's noise.
-    contact = {"solref": [2.5 * config.timestep, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0], "condim": 6}
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=0.5 * (lower + upper),
-        size=0.5 * (upper - lower),
-        friction=[0.5, 0.005, 0.001],
-        **contact,
-    )
-    for k, item in enumerate(objects):
-        body = spec.worldbody.add_body(name=item.name, mass=item.mass, ipos=[0.0, 0.0, 0.0])
-        inertia = item.inertia
-        body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        body.explicitinertial = True
-        body.add_freejoint()
-        for j, part in enumerate(item.convex_parts):
-            name = f"{k}_{j}"
-            spec.add_mesh(name=name, uservert=part.vertices.ravel(), userface=part.faces.ravel().astype(np.int32))
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=name,
-                friction=[item.friction, 0.005, 0.001],
-                **contact,
-            )
-    return spec.compile()

@@ -113,6 +113,7 @@ class ObjectModel:
         colour: (red, green, blue) in 0..255.
         density: [kg/m^3].
         friction: sliding friction coefficient.
+        parts: convex meshes that together fill the object, where they are known already.
     """
 
     name: str
@@ -122,6 +123,7 @@ class ObjectModel:
     colour: tuple[int, int, int]
     density: float
     friction: float
+    parts: tuple[trimesh.Trimesh, ...] | None = None
 
     @property
     def mass(self) -> float:
@@ -136,6 +138,8 @@ class ObjectModel:
     @cached_property
     def convex_parts(self) -> tuple[trimesh.Trimesh, ...]:
         """Convex meshes that together fill the object, for physics; computed once."""
+        if self.parts is not None:
+            return self.parts
         family = FAMILIES.get(self.family)
         if family is not None and family.convex:
             return (self.mesh.convex_hull,)
