@@ -4,12 +4,32 @@ Frames are ROS's: the optical frame has x to the right of the image, y down and 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from regnet_core.errors import InvalidInputError
+from regnet_core.geometry import Box
+
+
+class Window(NamedTuple):
+    """A rectangle of whole pixels."""
+
+    left: int
+    """First column."""
+    top: int
+    """First row."""
+    width: int
+    """Columns; 0 when the window is empty."""
+    height: int
+    """Rows; 0 when the window is empty."""
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns, to index an image."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
 @dataclass(frozen=True)
@@ -45,6 +65,10 @@ class Intrinsics:
         y = (pixels[..., 1] - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
+    def cropped(self, window: Window) -> "Intrinsics":
+        """The camera whose whole image is the window of this one's."""
+        return Intrinsics(window.width, window.height, self.fx, self.fy, self.cx - window.left, self.cy - window.top)
+
 
 KINECT_V2 = Intrinsics(512, 424, 365.5, 365.5, 255.5, 211.5)
 """Microsoft Kinect v2 depth camera, nominal (70 x 60 degrees)."""
@@ -52,6 +76,10 @@ KINECT_V1 = Intrinsics(640, 480, 580.0, 580.0, 319.5, 239.5)
 """Microsoft Kinect v1 depth camera, nominal (58 x 45 degrees)."""
 REALSENSE_D435 = Intrinsics(640, 480, 385.0, 385.0, 319.5, 239.5)
 """Intel RealSense D435 depth stream at 640 x 480, nominal."""
+
+
+_NEAREST = 0.01
+"""A point must be this far in front of the camera to have a place in its image [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +109,22 @@ class Camera:
     def forward(self) -> NDArray[np.float64]:
         """(3,) unit viewing direction in the world."""
         return self.T_world_camera[:3, 2]
+
+    def window(self, box: Box, margin: int = 0) -> Window:
+        """The smallest window of the image that shows a box in the world, `margin` pixels wider on each side.
+
+        The whole image when a part of the box is beside or behind the camera.
+        """
+        intrinsics = self.intrinsics
+        corners = (box.corners() - self.position) @ self.T_world_camera[:3, :3]  # (8, 3) in the optical frame
+        if corners[:, 2].min() < _NEAREST:
+            return Window(0, 0, intrinsics.width, intrinsics.height)
+        pixels = corners @ intrinsics.matrix.T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        size = np.array([intrinsics.width, intrinsics.height])
+        first = np.clip(np.floor(pixels.min(axis=0)).astype(int) - margin, 0, size)
+        end = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + margin + 1, first, size)
+        return Window(*(int(value) for value in (*first, *(end - first))))
 
 
 def from_euler(euler: ArrayLike, position: ArrayLike) -> NDArray[np.float64]:

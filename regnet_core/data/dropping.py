@@ -1,22 +1,18 @@
-"""Drops objects one after another on a table in MuJoCo until they rest."""
+"""Drops objects one after another on a table, or into a bin on it, until they rest."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from regnet_core.data.bins import Bin
 from regnet_core.data.objects import ObjectModel, sample_object
 from regnet_core.data.scenes import Scene, default_table
-from regnet_core.errors import RegnetError
-from regnet_core.geometry import Box
-from regnet_core.sim.world import world_spec
+from regnet_core.data.settling import RestConfig, SceneError, Settling
+from regnet_core.geometry import Array, Box
 
-
-class SceneError(RegnetError):
-    """No scene came to rest in the allowed number of attempts."""
+__all__ = ["DropConfig", "SceneError", "drop", "make_scene"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +20,8 @@ class DropConfig:
     """How a scene is dropped.
 
     Attributes:
-        spread: radius of the disc over the table's centre above which objects are released [m].
+        spread: radius of the disc over the table's centre above which objects are released [m]; a bin is filled over
+            its whole width instead.
         clearance: gap between a released object and what is below it [m].
         interval: time between two releases [s].
         settle_time: longest wait for rest after the last release [s].
@@ -33,6 +30,8 @@ class DropConfig:
         timestep: of the physics [s].
         redrops: how often one object that leaves the table is released again.
         attempts: how often the whole scene is tried.
+        penetration: a scene in which a contact is deeper than this is tried again [m].
+        looks: how many times in a row objects must be found at rest.
     """
 
     spread: float = 0.16
@@ -44,6 +43,8 @@ class DropConfig:
     timestep: float = 0.002
     redrops: int = 5
     attempts: int = 10
+    penetration: float = np.inf
+    looks: int = 1
 
 
 def make_scene(
@@ -67,10 +68,7 @@ def make_scene(
     """
     chosen = [None] * count if families is None else list(families)
     models = [sample_object(rng, family) for family in chosen]
-    named = [
-        ObjectModel(f"{i:02d}_{m.family}", m.family, m.params, m.mesh, m.colour, m.density, m.friction)
-        for i, m in enumerate(models)
-    ]
+    named = [replace(model, name=f"{i:02d}_{model.family}") for i, model in enumerate(models)]
     return drop(named, rng, table=table, config=config)
 
 
@@ -80,116 +78,118 @@ def drop(
     *,
     table: Box | None = None,
     config: DropConfig | None = None,
+    into: Bin | None = None,
 ) -> Scene:
     """Drops the objects in their order, each at a random place and orientation.
 
+    Args:
+        objects: K models.
+        rng: source of every random number; the same state gives the same scene.
+        table: the table top; `default_table()` when None.
+        config: heights, times and attempts.
+        into: a bin on the table, in which every centre of mass must come to rest; its boxes become the scene's
+            fixtures.
+
     Raises:
-        SceneError: no attempt came to rest on the table.
+        SceneError: no attempt came to rest on the table, or in the bin.
     """
     table = table or default_table()
     config = config or DropConfig()
+    fixtures = () if into is None else into.boxes
     if not objects:
-        return Scene((), np.zeros((0, 4, 4)), table)
-    physics = _Physics(objects, table, config)
+        return Scene((), np.zeros((0, 4, 4)), table, fixtures)
+    target = _Table(table, config) if into is None else _InsideBin(into)
+    rest = RestConfig(config.settle_time, config.rest_speed, config.timestep, config.looks)
+    physics = Settling(objects, table, fixtures, rest)
     for _ in range(config.attempts):
-        if physics.attempt(rng):
-            return Scene(tuple(objects), physics.poses(), table)
+        if _attempt(physics, target, config, rng):
+            return Scene(tuple(objects), physics.poses(), table, fixtures)
     raise SceneError(
-        f"{len(objects)} objects did not come to rest on the table in {config.attempts} attempts; "
+        f"{len(objects)} objects did not come to rest {target.name} in {config.attempts} attempts; "
         "use fewer objects, a wider spread or a longer settle time"
     )
 
 
-class _Physics:
-    """The MuJoCo model of all objects; those not yet released are held far from the table."""
+class _Table:
+    """Where objects are released above a table, and where they may end."""
 
-    def __init__(self, objects: Sequence[ObjectModel], table: Box, config: DropConfig) -> None:
-        self.objects = objects
-        self.table = table
-        self.config = config
-        self.model = world_spec(objects, table, (), config.timestep).compile()
-        self.data = mujoco.MjData(self.model)
+    name = "on the table"
 
-    def attempt(self, rng: np.random.Generator) -> bool:
-        """Drops everything once; False when something left the table or never came to rest."""
-        mujoco.mj_resetData(self.model, self.data)
-        for k in range(len(self.objects)):
-            self._park(k)
-        released = 0
-        for k in range(len(self.objects)):
-            if not self._release_until_it_stays(k, rng):
-                return False
-            released = k + 1
-        return self._settle(released)
+    def __init__(self, table: Box, config: DropConfig) -> None:
+        self._lower, self._upper = np.array(table.lower), np.array(table.upper)
+        self._spread = config.spread
+        self._margin = config.margin
 
-    def poses(self) -> NDArray[np.float64]:
-        """(K, 4, 4) T_world_object."""
-        poses = np.tile(np.eye(4), (len(self.objects), 1, 1))
-        q = self.data.qpos.reshape(-1, 7)
-        poses[:, :3, 3] = q[:, :3]
-        poses[:, :3, :3] = Rotation.from_quat(q[:, 3:], scalar_first=True).as_matrix()
-        return poses
-
-    def _release_until_it_stays(self, k: int, rng: np.random.Generator) -> bool:
-        for _ in range(self.config.redrops):
-            self._place_above(k, rng)
-            self._step(self.config.interval, released=k + 1)
-            if not self._on_table(k):
-                continue
-            return bool(all(self._on_table(i) for i in range(k)))
-        return False
-
-    def _place_above(self, k: int, rng: np.random.Generator) -> None:
-        """Puts object k at rest above the table and above every released object that is under it."""
-        rotation = Rotation.random(rng=rng)
-        corners = rotation.apply(self.objects[k].mesh.vertices)
-        radius = self.config.spread * np.sqrt(rng.uniform())
+    def release(self, corners: Array, rng: np.random.Generator) -> tuple[float, float, float]:
+        """x and y of an object whose vertices, (V, 3) about its centre, are `corners`; height of what is below [m]."""
+        radius = self._spread * np.sqrt(rng.uniform())
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        x, y = radius * np.cos(angle), radius * np.sin(angle)
-        reach = np.linalg.norm(corners[:, :2], axis=1).max()
-        top = float(self.table.upper[2])
-        for i in range(k):
-            centre = self.data.qpos[7 * i : 7 * i + 3]
-            extent = np.linalg.norm(self.objects[i].mesh.vertices, axis=1).max()
-            if np.hypot(centre[0] - x, centre[1] - y) < reach + extent:
-                top = max(top, self._highest(i))
-        z = top + self.config.clearance - corners[:, 2].min()
-        self.data.qpos[7 * k : 7 * k + 3] = x, y, z
-        self.data.qpos[7 * k + 3 : 7 * k + 7] = rotation.as_quat(scalar_first=True)
-        self.data.qvel[6 * k : 6 * k + 6] = 0.0
+        return radius * np.cos(angle), radius * np.sin(angle), float(self._upper[2])
 
-    def _highest(self, k: int) -> float:
-        q = self.data.qpos[7 * k : 7 * k + 7]
-        up = Rotation.from_quat(q[3:], scalar_first=True).as_matrix()[2]
-        return float(q[2] + (self.objects[k].mesh.vertices @ up).max())
+    def holds(self, centre: Array) -> bool:
+        """Whether a centre of mass (3,) is where it may be."""
+        inside = np.all(centre[:2] > self._lower[:2] + self._margin)
+        inside &= np.all(centre[:2] < self._upper[:2] - self._margin)
+        return bool(inside and self._upper[2] - 0.005 < centre[2] < self._upper[2] + 1.0)
 
-    def _park(self, k: int) -> None:
-        self.data.qpos[7 * k : 7 * k + 7] = 100.0 + k, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0
-        self.data.qvel[6 * k : 6 * k + 6] = 0.0
 
-    def _step(self, seconds: float, released: int) -> None:
-        for _ in range(round(seconds / self.config.timestep)):
-            for k in range(released, len(self.objects)):
-                self._park(k)
-            mujoco.mj_step(self.model, self.data)
+class _InsideBin:
+    """Where objects are released above a bin, and where they may end."""
 
-    def _settle(self, released: int) -> bool:
-        """Waits for rest; True when all objects rest on the table."""
-        waited = 0.0
-        while waited < self.config.settle_time:
-            self._step(0.25, released)
-            waited += 0.25
-            velocity = self.data.qvel.reshape(-1, 6)
-            linear = np.linalg.norm(velocity[:, :3], axis=1)
-            angular = np.linalg.norm(velocity[:, 3:], axis=1)
-            if np.all(linear < self.config.rest_speed) and np.all(0.1 * angular < self.config.rest_speed):
-                return all(self._on_table(k) for k in range(released))
+    name = "in the bin"
+
+    def __init__(self, into: Bin) -> None:
+        self._lower, self._upper = np.array(into.inside.lower), np.array(into.inside.upper)
+
+    def release(self, corners: Array, rng: np.random.Generator) -> tuple[float, float, float]:
+        """As a table's; what is too large to fit between the walls is released above their rim."""
+        low = self._lower[:2] - corners[:, :2].min(axis=0)
+        high = self._upper[:2] - corners[:, :2].max(axis=0)
+        middle = 0.5 * (low + high)
+        x, y = rng.uniform(np.minimum(low, middle), np.maximum(high, middle))
+        fits = bool(np.all(low < high))
+        return float(x), float(y), float(self._lower[2] if fits else self._upper[2])
+
+    def holds(self, centre: Array) -> bool:
+        """Whether a centre of mass (3,) is between the walls; a heap may rise above their rim."""
+        between = np.all(centre[:2] > self._lower[:2]) and np.all(centre[:2] < self._upper[:2])
+        return bool(between and self._lower[2] - 0.005 < centre[2] < self._upper[2] + 0.1)
+
+
+def _attempt(physics: Settling, target: _Table | _InsideBin, config: DropConfig, rng: np.random.Generator) -> bool:
+    """Drops everything once; False when something left the target, never came to rest or is stuck in something."""
+    physics.reset()
+    for k in range(len(physics.objects)):
+        if not _release_until_it_stays(physics, k, target, config, rng):
+            return False
+    if not physics.settle():
         return False
+    stays = all(target.holds(physics.position(k)) for k in range(len(physics.objects)))
+    return stays and (np.isinf(config.penetration) or physics.penetration() <= config.penetration)
 
-    def _on_table(self, k: int) -> bool:
-        position = self.data.qpos[7 * k : 7 * k + 3]
-        lower, upper = np.array(self.table.lower), np.array(self.table.upper)
-        inside = np.all(position[:2] > lower[:2] + self.config.margin) and np.all(
-            position[:2] < upper[:2] - self.config.margin
-        )
-        return bool(inside and upper[2] - 0.005 < position[2] < upper[2] + 1.0)
+
+def _release_until_it_stays(
+    physics: Settling, k: int, target: _Table | _InsideBin, config: DropConfig, rng: np.random.Generator
+) -> bool:
+    for _ in range(config.redrops):
+        _place_above(physics, k, target, config.clearance, rng)
+        physics.step(config.interval)
+        if target.holds(physics.position(k)):
+            return all(target.holds(physics.position(i)) for i in range(k))
+    return False
+
+
+def _place_above(
+    physics: Settling, k: int, target: _Table | _InsideBin, clearance: float, rng: np.random.Generator
+) -> None:
+    """Puts object k at rest above the ground and above every released object that is under it."""
+    rotation = Rotation.random(rng=rng)
+    corners = rotation.apply(physics.objects[k].mesh.vertices)
+    x, y, top = target.release(corners, rng)
+    reach = np.linalg.norm(corners[:, :2], axis=1).max()
+    for i in range(k):
+        centre = physics.position(i)
+        extent = np.linalg.norm(physics.objects[i].mesh.vertices, axis=1).max()
+        if np.hypot(centre[0] - x, centre[1] - y) < reach + extent:
+            top = max(top, physics.highest(i))
+    physics.place(k, rotation, (x, y, top + clearance - corners[:, 2].min()))

@@ -31,7 +31,7 @@ class AntipodalTruth(NamedTuple):
     """Contacts of M grasps when the jaw closes from its opening `width`."""
 
     score: NDArray[np.float64]
-    """(M,) cos(alpha_i) cos(alpha_j) in [0, 1]; 0 when a pad touches nothing, the table, or another object."""
+    """(M,) cos(alpha_i) cos(alpha_j) in [0, 1]; 0 when a pad touches nothing, another object or something static."""
     contact_width: NDArray[np.float64]
     """(M,) distance between the two contacts along the closing direction [m]; NaN where a pad touches nothing."""
     object_index: NDArray[np.int64]
@@ -39,12 +39,13 @@ class AntipodalTruth(NamedTuple):
 
 
 class GroundTruth:
-    """The true scene: watertight meshes in the world frame and a table."""
+    """The true scene: watertight meshes in the world frame, a table, and fixtures such as the walls of a bin."""
 
-    def __init__(self, meshes: Sequence[trimesh.Trimesh], table: Box | None) -> None:
+    def __init__(self, meshes: Sequence[trimesh.Trimesh], table: Box | None, fixtures: Sequence[Box] = ()) -> None:
         """Args:
             meshes: K watertight meshes in the frame of the grasps that will be judged [m].
             table: solid box of the table top in that frame; None when there is none.
+            fixtures: other solid boxes in that frame, obstacles as the table is.
 
         Raises:
             InvalidInputError: a mesh is not watertight, so that its inside is not defined.
@@ -58,17 +59,18 @@ class GroundTruth:
         self._objects = o3d.t.geometry.RaycastingScene()
         for mesh in meshes:
             _add(self._objects, mesh)
-        self._table = None if table is None else _table_object(table)
+        statics = [*([] if table is None else [table]), *fixtures]
+        self._statics = [_static_object(box) for box in statics]
         self._caster = o3d.t.geometry.RaycastingScene()
         for mesh in meshes:
             _add(self._caster, mesh)
         self._owners = np.append(np.arange(len(meshes)), [NO_OBJECT])
-        if table is not None:
-            _add(self._caster, trimesh.creation.box(bounds=(table.lower, table.upper)))
-        self._empty = not meshes and table is None
+        for box in statics:
+            _add(self._caster, trimesh.creation.box(bounds=(box.lower, box.upper)))
+        self._empty = not meshes and not statics
 
     def collides(self, grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
-        """(M,) whether the palm or a finger overlaps an object or the table, the jaw open by each grasp's `width`."""
+        """(M,) whether the palm or a finger overlaps an object, the table or a fixture, the jaw open by its `width`."""
         return np.array([self._hand_collides(grasps, i, gripper) for i in range(len(grasps))], dtype=bool)
 
     def antipodal(self, grasps: Grasps, gripper: Gripper) -> AntipodalTruth:
@@ -116,7 +118,7 @@ class GroundTruth:
             lower, upper = np.asarray(body.lower), np.asarray(body.upper)
             centre = origin + rotation @ (0.5 * (lower + upper))
             box = fcl.CollisionObject(fcl.Box(*(upper - lower)), fcl.Transform(rotation, centre))
-            if self._table is not None and _touch(box, self._table):
+            if any(_touch(box, static) for static in self._statics):
                 return True
             radius = 0.5 * float(np.linalg.norm(upper - lower))
             if any(solid.overlaps(box, centre, radius) for solid in self._solids):
@@ -145,7 +147,7 @@ class GroundTruth:
         travel = hit["t_hit"].numpy().astype(np.float64)  # (M, R)
         travel[travel > grasps.width[:, None]] = np.inf
         geometry = hit["geometry_ids"].numpy().astype(np.int64)
-        # Geometry ids beyond the objects (the table) belong to nobody.
+        # Geometry ids beyond the objects (the table, fixtures) belong to nobody.
         owners = self._owners[np.minimum(geometry, len(self._owners) - 1)]
         first = travel.argmin(axis=1)
         rows = np.arange(m)
@@ -168,7 +170,7 @@ class _PadContact(NamedTuple):
     cosine: NDArray[np.float64]
     """(M,) cosine of alpha, 0 when it touches nothing."""
     owner: NDArray[np.int64]
-    """(M,) index of the object, NO_OBJECT for the table or nothing."""
+    """(M,) index of the object, NO_OBJECT for the table, a fixture or nothing."""
 
 
 class _Solid:
@@ -199,8 +201,8 @@ def _touch(a: fcl.CollisionObject, b: fcl.CollisionObject) -> bool:
     return bool(fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()))
 
 
-def _table_object(table: Box) -> fcl.CollisionObject:
-    lower, upper = np.asarray(table.lower), np.asarray(table.upper)
+def _static_object(box: Box) -> fcl.CollisionObject:
+    lower, upper = np.asarray(box.lower), np.asarray(box.upper)
     return fcl.CollisionObject(fcl.Box(*(upper - lower)), fcl.Transform(0.5 * (lower + upper)))
 
 

@@ -13,12 +13,15 @@ from regnet_core.data.camera import (
     look_at,
     paper_cameras,
 )
-from regnet_core.data.noise import DepthNoise, add_depth_noise, axial_sigma, depth_edges
+from regnet_core.data.colour_noise import ColourNoise
+from regnet_core.data.dome import DomeConfig, dome_camera, dome_for
+from regnet_core.data.noise import DepthNoise
 from regnet_core.data.objects import ObjectModel, build_mesh
-from regnet_core.data.rendering import FLOOR_ID, NOTHING_ID, TABLE_ID, SceneRenderer
+from regnet_core.data.rendering import FIXTURE_ID, FLOOR_ID, NOTHING_ID, TABLE_ID, SceneRenderer
 from regnet_core.data.scenes import Scene, default_table
+from regnet_core.data.sensors import SENSORS
 from regnet_core.errors import InvalidInputError
-from regnet_core.geometry import transform_points
+from regnet_core.geometry import Box, transform_points
 
 SMALL = Intrinsics(160, 120, 120.0, 120.0, 79.5, 59.5)
 
@@ -35,6 +38,10 @@ def _block_scene() -> Scene:
 @pytest.fixture(scope="module")
 def renderer() -> SceneRenderer:
     return SceneRenderer(_block_scene())
+
+
+REGION = Box((-0.1, -0.15, 0.745), (0.2, 0.2, 1.0))
+"""A part of the table and all of the block [m]."""
 
 
 def _above(height: float, intrinsics: Intrinsics = SMALL) -> Camera:
@@ -139,55 +146,6 @@ def test_colours_are_those_of_the_objects(renderer: SceneRenderer) -> None:
     assert np.all(red > 3 * green) and np.all(red > 3 * blue)
 
 
-def test_axial_sigma_is_fankhausers_formula() -> None:
-    depth, angle = np.array([1.0, 2.0, 1.0]), np.array([0.0, 0.0, np.pi / 4])
-    np.testing.assert_allclose(axial_sigma(depth, angle), [1.3e-3, 1.7e-3, 1.4e-3])
-
-
-def test_noise_on_a_flat_wall_has_the_stated_spread() -> None:
-    depth = np.full((200, 200), 2.0)
-    noisy = add_depth_noise(depth, np.zeros((200, 200)), DepthNoise(), np.random.default_rng(0))
-    seen = np.isfinite(noisy)
-    # 1.7 mm of axial noise and 1 mm / sqrt(12) of rounding
-    assert np.std(noisy[seen]) == pytest.approx(np.hypot(1.7e-3, 1e-3 / np.sqrt(12.0)), rel=0.03)
-    assert np.mean(noisy[seen]) == pytest.approx(2.0, abs=1e-4)
-    np.testing.assert_allclose(noisy[seen] * 1000.0, np.round(noisy[seen] * 1000.0), atol=1e-9)
-    assert np.mean(~seen) == pytest.approx(0.001, abs=0.001)
-
-
-def test_grazing_and_distant_pixels_are_lost() -> None:
-    depth = np.full((20, 20), 1.0)
-    depth[:, 15:] = 6.0
-    angle = np.zeros((20, 20))
-    angle[:, :5] = np.radians(81.0)
-    noisy = add_depth_noise(depth, angle, DepthNoise(edge_loss=0.0, dropout=0.0), np.random.default_rng(0))
-    assert np.all(np.isnan(noisy[:, :5])) and np.all(np.isnan(noisy[:, 15:]))
-    assert np.all(np.isfinite(noisy[:, 6:13]))
-
-
-def test_a_slope_is_no_edge_but_a_step_is() -> None:
-    slope = 1.0 / np.linspace(1.0, 0.4, 60)[None].repeat(40, axis=0)  # a plane seen at a grazing angle
-    assert np.diff(slope, axis=1).max() > 0.05
-    assert not depth_edges(slope, 0.015).any()
-    step = np.full((40, 60), 1.0)
-    step[:, 30:] = 1.05
-    edges = depth_edges(step, 0.015)
-    assert np.all(edges[:, 29:31]) and not edges[:, :29].any() and not edges[:, 31:].any()
-    step[:, 30:] = np.nan
-    assert np.all(depth_edges(step, 0.015)[:, 29])
-
-
-def test_edges_lose_pixels_and_some_fly_behind() -> None:
-    depth = np.full((400, 60), 1.0)
-    depth[:, 30:] = 1.5
-    noisy = add_depth_noise(depth, np.zeros_like(depth), DepthNoise(), np.random.default_rng(1))
-    front = noisy[:, 29]
-    assert np.mean(np.isnan(front)) == pytest.approx(0.35, abs=0.08)
-    flying = (front > 1.02) & (front < 1.48)
-    assert 0.02 < np.mean(flying) < 0.15
-    assert not np.any((noisy[:, :28] > 1.02) & (noisy[:, :28] < 1.48))
-
-
 def test_a_seed_gives_the_same_image_and_another_seed_another(renderer: SceneRenderer) -> None:
     camera = paper_cameras(SMALL)[0]
     first, again, other = (renderer.render(camera, DepthNoise(), np.random.default_rng(s)) for s in (4, 4, 5))
@@ -198,3 +156,119 @@ def test_a_seed_gives_the_same_image_and_another_seed_another(renderer: SceneRen
 def test_noise_needs_a_generator(renderer: SceneRenderer) -> None:
     with pytest.raises(ValueError, match="needs a numpy Generator"):
         renderer.render(_above(1.0), DepthNoise())
+
+
+def test_fixtures_are_rendered_with_an_id_and_a_colour_of_their_own() -> None:
+    scene = _block_scene()
+    wall = Box((-0.2, -0.3, 0.75), (-0.19, 0.3, 0.85))
+    view = SceneRenderer(Scene(scene.objects, scene.poses, scene.table, (wall,))).render(_above(1.0))
+    seen = view.object_ids == FIXTURE_ID
+    x, y, z = view.world_points()[seen].T
+    assert np.all((x > -0.2001) & (x < -0.1899)) and np.all(np.abs(y) < 0.3001)
+    assert z.max() == pytest.approx(0.85, abs=1e-5)
+    assert not set(map(tuple, view.colours[seen])) & set(map(tuple, view.colours[view.object_ids == TABLE_ID]))
+
+
+# A region of the image
+
+
+@pytest.mark.parametrize("camera", [*paper_cameras(SMALL), _above(1.0), _above(0.02)])
+def test_a_region_is_what_the_whole_image_shows_of_it(renderer: SceneRenderer, camera: Camera) -> None:
+    whole, part = renderer.render(camera), renderer.render(camera, region=REGION)
+    inside = REGION.contains(whole.world_points())
+    np.testing.assert_array_equal(np.isfinite(part.depth), inside)
+    for name in ("depth", "normals", "object_ids", "colours"):
+        np.testing.assert_array_equal(getattr(part, name)[inside], getattr(whole, name)[inside])
+    assert np.all(part.object_ids[~inside] == NOTHING_ID)
+    assert not part.normals[~inside].any() and not part.colours[~inside].any()
+
+
+def test_a_region_with_noise_holds_the_points_measured_inside(renderer: SceneRenderer) -> None:
+    camera = paper_cameras(SMALL)[2]
+    views = [renderer.render(camera, DepthNoise(), np.random.default_rng(3), region=REGION) for _ in range(2)]
+    np.testing.assert_array_equal(views[0].depth, views[1].depth)
+    points, index = views[0].cloud()
+    assert len(points) > 300 and REGION.contains(points).all()
+    np.testing.assert_allclose(points, views[0].world_points().reshape(-1, 3)[index], atol=1e-12)
+    np.testing.assert_array_equal(views[0].object_ids.ravel()[index] == NOTHING_ID, False)
+
+
+def test_a_region_out_of_sight_is_empty(renderer: SceneRenderer) -> None:
+    view = renderer.render(_above(1.0), region=Box((5.0, 5.0, 0.0), (6.0, 6.0, 0.1)))
+    assert view.depth.shape == (120, 160) and np.isnan(view.depth).all() and len(view.cloud()[0]) == 0
+
+
+def test_the_window_of_a_box() -> None:
+    # At 1 m, 0.1 m are 12 pixels; the image's down is the world's -y.
+    window = _above(1.0).window(Box((-0.1, 0.1, 0.74), (0.2, 0.15, 0.75)), margin=2)
+    assert window == (79 - 12 - 2, 59 - 18 - 2, 36 + 2 + 4, 6 + 2 + 4)
+    intrinsics = SMALL.cropped(window)
+    assert (intrinsics.width, intrinsics.height) == (window.width, window.height)
+    whole = SMALL.rays(SMALL.pixels())[window.slices]
+    np.testing.assert_allclose(intrinsics.rays(intrinsics.pixels()), whole)
+    assert _above(1.0).window(Box((-9.0, -9.0, 0.0), (9.0, 9.0, 2.0))) == (0, 0, 160, 120), "partly behind the camera"
+
+
+# Colours
+
+
+def test_colour_noise_has_the_stated_spread(renderer: SceneRenderer) -> None:
+    camera, rng = _above(1.0), np.random.default_rng(0)
+    plain = renderer.render(camera)
+    speckled = renderer.render(camera, None, rng, colour_noise=ColourNoise(pixel=4.0))
+    table = plain.object_ids == TABLE_ID
+    difference = speckled.colours[table].astype(float) - plain.colours[table]
+    assert np.std(difference) == pytest.approx(np.hypot(4.0, 1.0 / np.sqrt(12.0)), rel=0.05)
+    gains = [
+        renderer.render(camera, None, rng, colour_noise=ColourNoise(brightness=0.2)).colours[table].mean()
+        / plain.colours[table].mean()
+        for _ in range(30)
+    ]
+    assert 0.1 < np.std(np.log(gains)) < 0.3
+    same = renderer.render(camera, None, rng, colour_noise=ColourNoise())
+    np.testing.assert_array_equal(same.colours, plain.colours)
+    with pytest.raises(ValueError, match="needs a numpy Generator"):
+        renderer.render(camera, colour_noise=ColourNoise(pixel=1.0))
+
+
+# Cameras on a dome
+
+
+def test_dome_cameras_have_the_middle_of_the_table_in_the_middle_of_the_image() -> None:
+    rng, table = np.random.default_rng(0), default_table()
+    for sensor in SENSORS.values():
+        intrinsics = sensor.intrinsics
+        for _ in range(200):
+            camera = dome_camera(rng, intrinsics, table, dome_for(sensor))
+            middle = camera.T_world_camera[:3, :3].T @ ([0.0, 0.0, 0.75] - camera.position)
+            pixel = intrinsics.matrix @ middle / middle[2]
+            assert abs(pixel[0] - intrinsics.cx) < 0.2 * intrinsics.width
+            assert abs(pixel[1] - intrinsics.cy) < 0.2 * intrinsics.height
+            assert np.linalg.det(camera.T_world_camera[:3, :3]) == pytest.approx(1.0)
+            assert middle[2] - 0.25 > sensor.noise.near - 0.06, "the tops of objects are in range"
+
+
+def test_dome_cameras_cover_the_ranges() -> None:
+    rng, config = np.random.default_rng(1), DomeConfig(aim=0.0)
+    cameras = [dome_camera(rng, SMALL, default_table(), config) for _ in range(500)]
+    away = np.array([camera.position - [0.0, 0.0, 0.75] for camera in cameras])
+    distance = np.linalg.norm(away, axis=1)
+    elevation = np.degrees(np.arcsin(away[:, 2] / distance))
+    assert 0.5 <= distance.min() < 0.55 and 1.25 < distance.max() <= 1.3
+    assert 25.0 <= elevation.min() < 27.0 and 80.0 < elevation.max() <= 85.0
+    assert np.all(np.histogram(np.arctan2(away[:, 1], away[:, 0]), bins=8)[0] > 30), "every azimuth"
+    # The right of a level camera is horizontal: what is left is the roll, less where the camera looks down steeply.
+    roll = np.degrees(np.arcsin([camera.T_world_camera[2, 0] for camera in cameras]) / np.cos(np.radians(elevation)))
+    assert 5.0 < np.abs(roll).max() < 10.5
+
+
+def test_a_dome_camera_may_be_straight_above() -> None:
+    config = DomeConfig(elevation=(0.5 * np.pi, 0.5 * np.pi), distance=(0.8, 0.8), roll=0.0, aim=0.0)
+    camera = dome_camera(np.random.default_rng(0), SMALL, default_table(), config)
+    np.testing.assert_allclose(camera.forward, [0.0, 0.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(camera.position, [0.0, 0.0, 1.55], atol=1e-12)
+
+
+def test_a_dome_within_the_near_range_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"DomeConfig.distance is \(least, largest\)"):
+        dome_for(SENSORS["kinect_v2"], DomeConfig(distance=(0.3, 0.6)))
