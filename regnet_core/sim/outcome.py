@@ -53,6 +53,11 @@ class Attempt:
     """Distance between the finger pads at the end [m]."""
     slip: float
     """How far the held object moved in the hand between the end of closing and the end [m]; NaN when none is held."""
+    turn: float
+    """By how much the held object turned in the hand, from before closing to the end [rad]; NaN when none is held.
+
+    A thin object that is gripped askew turns until it is flush with the pads: it is held, but not as was planned.
+    """
     duration: float
     """Simulated time [s]."""
     message: str

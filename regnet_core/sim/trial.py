@@ -45,6 +45,7 @@ class Trial:
         self._closed = -config.grip_force / FINGER_STIFFNESS
         self._steps = 0
         self._start_poses = physics.object_poses()
+        self._planned_poses = self._start_poses
         self._gripped_poses = self._start_poses
         self._shaken_poses = self._start_poses
         self._recorder = None if record_every is None else Recorder(physics, record_every)
@@ -91,6 +92,7 @@ class Trial:
 
     def _close(self) -> Attempt | None:
         """Closes until the fingers stop; fails when one of them then touches no object."""
+        self._planned_poses = self._poses_in_hand()
         self._close_until_still()
         self._gripped_poses = self._poses_in_hand()
         left, right = (self._touched_by(side) for side in (LEFT, RIGHT))
@@ -142,16 +144,19 @@ class Trial:
         k = lifted[0]
         poses = self._poses_in_hand()
         slip = float(_displacement(self._gripped_poses, poses)[0][k])
+        turn = float(_displacement(self._planned_poses, poses)[1][k])
         if not (k in self._touched_by(LEFT) and k in self._touched_by(RIGHT)):
             return self._end(Outcome.SLIPPED, f"object {k} was lifted, but is not between both fingers", lifted)
         creep = float(_displacement(self._shaken_poses, poses)[0][k])
         if creep > self._config.creep_distance:
             return self._end(
-                Outcome.SLIPPED, f"object {k} still moves in the hand, by {creep:.4f} m while held", lifted, slip
+                Outcome.SLIPPED, f"object {k} still moves in the hand, by {creep:.4f} m while held", lifted, slip, turn
             )
         if self._target is not None and k != self._target:
-            return self._end(Outcome.WRONG_OBJECT, f"object {k} is held instead of object {self._target}", lifted, slip)
-        return self._end(Outcome.HELD, f"object {k} is held; it moved by {slip:.4f} m in the hand", lifted, slip)
+            wrong = f"object {k} is held instead of object {self._target}"
+            return self._end(Outcome.WRONG_OBJECT, wrong, lifted, slip, turn)
+        held = f"object {k} is held; it moved by {slip:.4f} m and turned by {turn:.2f} rad in the hand"
+        return self._end(Outcome.HELD, held, lifted, slip, turn)
 
     def _touched_by(self, side: int) -> set[int]:
         """The objects that a finger presses on."""
@@ -175,12 +180,20 @@ class Trial:
         if self._recorder is not None:
             self._recorder.after_step()
 
-    def _end(self, outcome: Outcome, message: str, lifted: tuple[int, ...] = (), slip: float = math.nan) -> Attempt:
+    def _end(
+        self,
+        outcome: Outcome,
+        message: str,
+        lifted: tuple[int, ...] = (),
+        slip: float = math.nan,
+        turn: float = math.nan,
+    ) -> Attempt:
         return Attempt(
             outcome=outcome,
             lifted=lifted,
             opening=self._physics.opening(),
             slip=slip,
+            turn=turn,
             duration=self._steps * self._config.timestep,
             message=message,
             recording=None if self._recorder is None else self._recorder.recording(),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from regnet_core.data.objects import ObjectModel, build_mesh
 from regnet_core.data.scenes import TABLE_HEIGHT, Scene, default_table
@@ -353,3 +354,12 @@ def test_bad_objects_are_refused() -> None:
 def test_bad_constants_are_refused(name: str, value: float) -> None:
     with pytest.raises(InvalidInputError, match=f"{name} must be"):
         SimConfig(**{name: value})
+
+
+def test_a_thin_bar_gripped_askew_is_held_and_has_turned() -> None:
+    bar = _box("bar", (0.16, 0.012, 0.05), mass=0.1)
+    scene = _scene((bar, _pose(0.0, 0.0, 0.025)))
+    askew = Rotation.from_euler("z", 1.0).as_matrix() @ DOWN
+    straight, turned = (_try(scene, _grasp(0.0, 0.0, 0.01, rotation), target=0) for rotation in (DOWN, askew))
+    assert straight.success and straight.turn < 0.02
+    assert turned.success and turned.turn == pytest.approx(1.0, abs=0.1)
