@@ -9,7 +9,7 @@ the true meshes (scene.glb, world frame, z up) and how it was made (scene.json).
 import argparse
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from regnet_core.data.bags import POINTS_TOPIC, CloudBagWriter
 from regnet_core.data.camera import KINECT_V2, Camera, look_at, paper_cameras
-from regnet_core.data.dropping import make_scene
+from regnet_core.data.dropping import drop
 from regnet_core.data.noise import DepthNoise
+from regnet_core.data.objects import FAMILIES as OBJECT_FAMILIES
+from regnet_core.data.objects import sample_object
 from regnet_core.data.rendering import SceneRenderer, View
 from regnet_core.data.scenes import Scene
 from regnet_core.geometry import Box, pose_matrix
@@ -33,6 +35,50 @@ GRID = 2.0**-13
 AROUND_TABLE = Box((-0.42, -0.42, 0.68), (0.42, 0.42, 1.25))
 """What the clouds in the world frame keep: the middle of the table and everything on it [m]."""
 OPTICAL_FRAME = "camera_depth_optical_frame"
+
+
+RANGES: dict[str, dict[str, tuple[float, float]]] = {
+    "box": {"x": (0.02, 0.065), "y": (0.03, 0.12), "z": (0.03, 0.18)},
+    "cylinder": {"radius": (0.011, 0.033), "height": (0.04, 0.18)},
+    "can": {"radius": (0.025, 0.034), "height": (0.06, 0.14), "chamfer": (0.003, 0.006)},
+    "bottle": {"radius": (0.02, 0.034), "height": (0.12, 0.24), "neck": (0.3, 0.5), "shoulder": (0.5, 0.75)},
+    "cup": {
+        "radius": (0.03, 0.045),
+        "height": (0.07, 0.11),
+        "taper": (0.75, 1.0),
+        "wall": (0.003, 0.005),
+        "handle": (0.004, 0.006),
+    },
+    "bowl": {"radius": (0.045, 0.075), "depth": (0.45, 0.75), "wall": (0.004, 0.007)},
+    "hammer": {"length": (0.16, 0.25), "handle": (0.01, 0.015), "head": (0.07, 0.11), "head_radius": (0.012, 0.018)},
+    "screwdriver": {
+        "length": (0.14, 0.24),
+        "handle": (0.011, 0.017),
+        "handle_share": (0.4, 0.5),
+        "shaft": (0.003, 0.005),
+    },
+    "banana": {"length": (0.13, 0.2), "radius": (0.014, 0.021), "bend": (0.8, 1.6)},
+    "ring": {"radius": (0.025, 0.06), "tube": (0.007, 0.014)},
+    "l_profile": {
+        "long_leg": (0.06, 0.14),
+        "short_leg": (0.04, 0.09),
+        "thickness": (0.012, 0.03),
+        "width": (0.02, 0.05),
+    },
+    "t_profile": {"bar": (0.06, 0.14), "stem": (0.04, 0.1), "thickness": (0.012, 0.03), "width": (0.02, 0.05)},
+    "superquadric": {"x": (0.018, 0.033), "y": (0.02, 0.05), "z": (0.025, 0.06), "e1": (0.3, 1.2), "e2": (0.3, 1.2)},
+    "blob": {
+        "radius": (0.022, 0.031),
+        "stretch": (1.0, 1.8),
+        "bump": (0.05, 0.16),
+        "a": (-1.0, 1.0),
+        "b": (-1.0, 1.0),
+        "c": (-1.0, 1.0),
+        "d": (-1.0, 1.0),
+    },
+}
+"""The families that the recordings hold and their parameters, made for a hand that opens 8 cm."""
+FAMILIES = {name: replace(OBJECT_FAMILIES[name], ranges=ranges) for name, ranges in RANGES.items()}
 
 
 @dataclass(frozen=True)
@@ -76,7 +122,7 @@ def main() -> None:
 def make_bag(folder: Path, recipe: Recipe) -> Path:
     """Writes the bag and its ground truth into `folder`, which is replaced."""
     rng = np.random.default_rng(recipe.seed)
-    scene = make_scene(recipe.objects, rng, families=recipe.families)
+    scene = dropped_scene(recipe, rng)
     renderer = SceneRenderer(scene)
     cameras = (tilted_camera(),) if recipe.tilted else paper_cameras()
     views = [renderer.render(camera, DepthNoise(), rng) for camera in cameras]
@@ -89,6 +135,15 @@ def make_bag(folder: Path, recipe: Recipe) -> Path:
     ]
     (folder / "scene.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     return folder
+
+
+def dropped_scene(recipe: Recipe, rng: np.random.Generator) -> Scene:
+    """The objects of a recipe at rest on the table."""
+    families = recipe.families or (None,) * recipe.objects
+    models = [sample_object(rng, family, families=FAMILIES) for family in families]
+    # In physics their parts are CoACD's, not those by construction, as they were when the recordings were made.
+    named = [replace(m, name=f"{i:02d}_{m.family}", parts=None) for i, m in enumerate(models)]
+    return drop(named, rng)
 
 
 def tilted_camera() -> Camera:

@@ -1,16 +1,62 @@
-"""Mesh-building operations that the shape families share."""
+"""Solids, which know their mesh and its convex parts, and the operations that build them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
+from trimesh.transformations import rotation_matrix, translation_matrix
+
+from regnet_core.data.convex import hull, slabs, tube_pieces
 
 SECTIONS = 40
 """Sides of a revolved shape: a face normal is at most 4.5 degrees off the smooth surface's."""
 
 
-def revolve(profile: ArrayLike, sections: int = SECTIONS) -> trimesh.Trimesh:
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape.
+
+    Attributes:
+        mesh: watertight [m].
+        parts: convex meshes that together fill it, for physics.
+    """
+
+    mesh: trimesh.Trimesh
+    parts: tuple[trimesh.Trimesh, ...]
+
+    def placed(self, T: ArrayLike) -> "Solid":
+        """The solid moved by a rigid transform (4, 4)."""
+        mesh, *parts = (item.copy().apply_transform(T) for item in (self.mesh, *self.parts))
+        return Solid(mesh, tuple(parts))
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "Solid":
+        """The solid moved along the axes [m]."""
+        return self.placed(translation_matrix([x, y, z]))
+
+    def turned(self, angle: float, axis: Sequence[float]) -> "Solid":
+        """The solid turned about an axis through the origin [rad]."""
+        return self.placed(rotation_matrix(angle, axis))
+
+
+def convex(mesh: trimesh.Trimesh) -> Solid:
+    """A solid whose only part is its convex hull."""
+    return Solid(mesh, (mesh.convex_hull,))
+
+
+def block(x: float, y: float, z: float) -> Solid:
+    """A rectangular block centred at the origin."""
+    return convex(trimesh.creation.box(extents=(x, y, z)))
+
+
+def prism(outline: ArrayLike, height: float) -> Solid:
+    """A prism over a convex outline (P, 2), from z = 0 to `height`."""
+    corners = np.asarray(outline, dtype=np.float64)
+    return convex(hull(np.concatenate([np.insert(corners, 2, z, axis=1) for z in (0.0, height)])))
+
+
+def revolved_mesh(profile: ArrayLike, sections: int = SECTIONS) -> trimesh.Trimesh:
     """Revolves a profile about z.
 
     Args:
@@ -24,7 +70,12 @@ def revolve(profile: ArrayLike, sections: int = SECTIONS) -> trimesh.Trimesh:
     return trimesh.creation.revolve(points, sections=sections)
 
 
-def sweep(path: NDArray[np.float64], radii: NDArray[np.float64], sections: int = 20) -> trimesh.Trimesh:
+def revolve(profile: ArrayLike, sections: int = SECTIONS) -> Solid:
+    """Revolves a profile that never falls, as in `revolved_mesh`, to a solid without a cavity."""
+    return Solid(revolved_mesh(profile, sections), slabs(profile, sections))
+
+
+def sweep(path: NDArray[np.float64], radii: NDArray[np.float64], sections: int = 20) -> Solid:
     """A tube of changing radius along a path in the x-y plane, closed by flat caps.
 
     Args:
@@ -41,7 +92,8 @@ def sweep(path: NDArray[np.float64], radii: NDArray[np.float64], sections: int =
     )
     rings = path[:, None, :] + radii[:, None, None] * ring  # (P, sections, 3)
     vertices = np.concatenate([rings.reshape(-1, 3), path[:1], path[-1:]])
-    return _closed(trimesh.Trimesh(vertices, _tube_faces(len(path), sections), process=False))
+    mesh = _closed(trimesh.Trimesh(vertices, _tube_faces(len(path), sections), process=False))
+    return Solid(mesh, tube_pieces(path, rings))
 
 
 def _tube_faces(rings: int, sections: int) -> NDArray[np.int64]:
@@ -67,9 +119,10 @@ def globe(sections: int = 3) -> trimesh.Trimesh:
     return trimesh.creation.icosphere(subdivisions=sections)
 
 
-def union(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """The boolean union of watertight parts (manifold3d)."""
-    return trimesh.boolean.union(list(parts), engine="manifold")
+def union(solids: Sequence[Solid]) -> Solid:
+    """The boolean union of solids (manifold3d)."""
+    mesh = trimesh.boolean.union([solid.mesh for solid in solids], engine="manifold")
+    return Solid(mesh, tuple(part for solid in solids for part in solid.parts))
 
 
 def difference(solid: trimesh.Trimesh, cut: trimesh.Trimesh) -> trimesh.Trimesh:
