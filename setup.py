@@ -32,21 +32,29 @@ RUNTIME = [
 ]
 
 EXTRAS = {
+    # Making data sets on the machines of a Ray cluster.
+    "cluster": ["ray>=2.40"],
     # Making objects, scenes, depth images and bags, and judging grasps against the true meshes.
     "data": [
         "coacd>=1.0.4",
         "manifold3d>=3",
         "mujoco>=4",
+        # trimesh mends the winding of meshes with it.
+        "networkx>=3",
         # 0.20 needs the system library libusb and cannot be imported after coacd (std::bad_cast).
         "open3d-cpu>=0.19,<0.20",
         "python-fcl>=0.7",
         "rosbags>=0.11",
+        "safetensors>=0.5",
         "scipy>=1.15",
         "trimesh>=5",
+        "zstandard>=0.22",
     ],
     "dev": ["colcon-common-extensions", "matplotlib>=3.6", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
     # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.
     "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
+    # Reading data sets into torch.
+    "train": ["torch>=2.4"],
     # Building regnet_msgs against those wheels, with a C++ compiler and make from the system.
     "msgs": [
         "catkin_pkg",

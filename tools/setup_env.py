@@ -37,7 +37,7 @@ UNFINISHED = NOTES / "unfinished"
 LOG = NOTES / "log.txt"
 INSTALLED_MESSAGES = NOTES / "regnet_msgs_files.txt"
 
-EXTRAS = "data,dev,msgs,ros"
+EXTRAS = "cluster,data,dev,msgs,ros,train"
 # What the wheels' CMake files say of the machine that built them, and what holds here.
 FOREIGN_PATHS = (
     (r"/opt/python/cp\d+-cp\d+/include/python[\d.]+", "sysconfig.get_paths()['include']"),

@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "constraints.txt"
-EXTRAS = "data,dev,msgs,ros"
+EXTRAS = "cluster,data,dev,msgs,ros,train"
 HEADER = """\
 # Versions of all that set-up installs, direct and indirect, for every Python that it supports.
 # Written by tools/update_constraints.py.

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from regnet_core import __version__
-from regnet_core.cli import detect, models
+from regnet_core.cli import detect, generate, inspect, models
 from regnet_core.errors import InvalidInputError
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -29,6 +29,8 @@ app = typer.Typer(
 )
 app.command(epilog=detect.EXIT_CODES)(detect.detect)
 app.command()(models.models)
+app.command()(generate.generate)
+app.command()(inspect.inspect)
 
 
 @app.callback(invoke_without_command=True)
