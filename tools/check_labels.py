@@ -16,8 +16,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from regnet_core.data.archive import SceneArchive
-from regnet_core.data.executors import LocalExecutor
+from regnet_core.data.generation.executors import LocalExecutor
+from regnet_core.data.storage.archive import SceneArchive
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.gripper import Gripper
 from regnet_core.sim.simulator import GraspSimulator

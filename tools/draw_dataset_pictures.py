@@ -14,12 +14,12 @@ from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from regnet_core.data.camera import Camera, Intrinsics, look_at
-from regnet_core.data.objects import ObjectModel, sample_object
-from regnet_core.data.rendering import SceneRenderer, View
-from regnet_core.data.scene_kinds import SCENE_KINDS, compose_scene
-from regnet_core.data.scenes import Scene
-from regnet_core.data.sensors import SENSORS, Sensor
+from regnet_core.data.cameras.camera import Camera, Intrinsics, look_at
+from regnet_core.data.cameras.rendering import SceneRenderer, View
+from regnet_core.data.cameras.sensors import SENSORS, Sensor
+from regnet_core.data.objects.models import ObjectModel, sample_object
+from regnet_core.data.scenes.kinds import SCENE_KINDS, compose_scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.geometry import Box
 
 TITLES = {

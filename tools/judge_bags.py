@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
 from regnet_core.data.bags import POINTS_TOPIC, STATIC_TOPIC
-from regnet_core.data.scenes import Scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.detector import GraspDetector
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.geometry import matrix_from_quaternion, transform_points

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from regnet_core.data.bags import POINTS_TOPIC, CloudBagWriter
-from regnet_core.data.camera import KINECT_V2, Camera, look_at, paper_cameras
-from regnet_core.data.dropping import drop
-from regnet_core.data.noise import DepthNoise
-from regnet_core.data.objects import FAMILIES as OBJECT_FAMILIES
-from regnet_core.data.objects import sample_object
-from regnet_core.data.rendering import SceneRenderer, View
-from regnet_core.data.scenes import Scene
+from regnet_core.data.cameras.camera import KINECT_V2, Camera, look_at, paper_cameras
+from regnet_core.data.cameras.noise import DepthNoise
+from regnet_core.data.cameras.rendering import SceneRenderer, View
+from regnet_core.data.objects.models import FAMILIES as OBJECT_FAMILIES
+from regnet_core.data.objects.models import sample_object
+from regnet_core.data.scenes.dropping import drop
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.geometry import Box, pose_matrix
 
 START = 1_700_000_000_000_000_000

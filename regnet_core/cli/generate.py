@@ -79,9 +79,9 @@ def generate(
     same command is given again; with more --scenes a finished data set grows.
     """
     with needs("generate", "data"):
-        from regnet_core.data.executors import LocalExecutor, RayExecutor
-        from regnet_core.data.generation import generate as run
-        from regnet_core.data.settings import KIND_SHARES, GenerationSettings
+        from regnet_core.data.generation.executors import LocalExecutor, RayExecutor
+        from regnet_core.data.generation.run import generate as run
+        from regnet_core.data.generation.settings import KIND_SHARES, GenerationSettings
     models = _import(objects, objects_scale) if objects is not None else ()
     settings = GenerationSettings(
         seed=seed,
@@ -95,8 +95,12 @@ def generate(
         meshes=_digest(models),
     )
     executor = LocalExecutor(workers) if ray is None else RayExecutor(ray)
-    with _Bars(quiet) as bars:
-        manifest = run(out, settings, executor, models=models, progress=bars.show)
+    try:
+        with _Bars(quiet) as bars:
+            manifest = run(out, settings, executor, models=models, progress=bars.show)
+    except KeyboardInterrupt:
+        typer.echo(f"regnet: what is done is kept in '{out}'; the same command goes on from there", err=True)
+        raise
     if not quiet:
         size = sum(path.stat().st_size for path in (out / "shards").iterdir())
         typer.echo(
@@ -120,7 +124,7 @@ def _kinds(options: list[str]) -> dict[str, float]:
 def _import(folder: Path, scale: float) -> tuple[Any, ...]:
     """The user's meshes; what is refused is said, with the reason."""
     with needs("generate --objects", "data"):
-        from regnet_core.data.user_meshes import import_meshes
+        from regnet_core.data.objects.user_meshes import import_meshes
     result = import_meshes(folder, scale)
     for refusal in result.refused:
         typer.echo(f"regnet: refused {refusal.path}: {refusal.reason}", err=True)
@@ -134,7 +138,7 @@ def _digest(models: tuple[Any, ...]) -> str:
     """Of the user's meshes; empty for the procedural library."""
     if not models:
         return ""
-    from regnet_core.data.object_files import object_to_bytes
+    from regnet_core.data.objects.files import object_to_bytes
 
     digest = hashlib.sha256()
     for model in models:

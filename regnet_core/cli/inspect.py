@@ -17,8 +17,8 @@ from regnet_core.cli.tables import make_console
 from regnet_core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from regnet_core.data.archive import SceneArchive
-    from regnet_core.data.statistics import Statistics
+    from regnet_core.data.storage.archive import SceneArchive
+    from regnet_core.data.storage.statistics import Statistics
 
 DAMAGED = 4
 
@@ -42,8 +42,8 @@ def inspect(
 ) -> None:
     """Print the statistics of a data set beside those of the paper, or draw one of its scenes."""
     with needs("inspect", "data"):
-        from regnet_core.data.archive import SceneArchive
-        from regnet_core.data.statistics import statistics
+        from regnet_core.data.storage.archive import SceneArchive
+        from regnet_core.data.storage.statistics import statistics
     archive = SceneArchive(folder)
     if view_file is not None:
         _draw(archive, view_file, scene, camera, width)
@@ -63,7 +63,7 @@ def inspect(
 
 
 def _print(archive: SceneArchive, result: Statistics) -> None:
-    from regnet_core.data.statistics import PAPER_TABLE
+    from regnet_core.data.storage.statistics import PAPER_TABLE
 
     console, settings = make_console(), archive.manifest.settings
     kinds = ", ".join(f"{count} {kind}" for kind, count in result.kinds.items())
@@ -97,7 +97,7 @@ def _print(archive: SceneArchive, result: Statistics) -> None:
 
 
 def _draw(archive: SceneArchive, path: Path, scene: int | None, camera: int, widths: list[float] | None) -> None:
-    from regnet_core.data.pictures import label_scenes
+    from regnet_core.data.storage.pictures import label_scenes
 
     check_view(path)
     views = archive.manifest.settings.views

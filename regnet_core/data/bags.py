@@ -15,7 +15,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.camera import Intrinsics
+from regnet_core.data.cameras.camera import Intrinsics
 
 ROSBAG2_VERSION: Literal[9] = 9
 """Of metadata.yaml: the one that ROS 2 Jazzy writes."""

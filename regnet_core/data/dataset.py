@@ -12,8 +12,8 @@ import torch
 from torch.utils.data import Dataset
 
 from regnet_core.checks import check_range
-from regnet_core.data.archive import SceneArchive, view_points
-from regnet_core.data.labels import GraspLabels
+from regnet_core.data.labels.scene_labels import GraspLabels
+from regnet_core.data.storage.archive import SceneArchive, view_points
 from regnet_core.errors import InvalidInputError
 
 POINTS = 25600

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.scenes import Scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
 from regnet_core.sim.config import SimConfig

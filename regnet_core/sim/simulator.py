@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from regnet_core.checks import check_range, is_whole, shown
-from regnet_core.data.scenes import Scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array
 from regnet_core.grasps import Grasps
@@ -19,7 +19,7 @@ from regnet_core.sim.physics import HandInScene
 from regnet_core.sim.trial import Trial
 
 _REST_SPEED = 0.003
-"""Slower than this, objects are at rest, as in `data.dropping` [m/s, rad/s x 0.1 m]."""
+"""Slower than this, objects are at rest, as in `data.scenes.dropping` [m/s, rad/s x 0.1 m]."""
 _REST_TIME = 0.1
 """... for as long as this [s]."""
 _FALLEN = 0.3

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from regnet_core.data.objects import ObjectModel
+from regnet_core.data.objects.models import ObjectModel
 from regnet_core.geometry import Box
 
 TABLE_FRICTION = 0.5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from regnet_core.data.camera import (
+from regnet_core.data.cameras.camera import (
     KINECT_V2,
     PAPER_POSES,
     REALSENSE_D435,
@@ -13,13 +13,13 @@ from regnet_core.data.camera import (
     look_at,
     paper_cameras,
 )
-from regnet_core.data.colour_noise import ColourNoise
-from regnet_core.data.dome import DomeConfig, dome_camera, dome_for
-from regnet_core.data.noise import DepthNoise
-from regnet_core.data.objects import ObjectModel, build_mesh
-from regnet_core.data.rendering import FIXTURE_ID, FLOOR_ID, NOTHING_ID, TABLE_ID, SceneRenderer
-from regnet_core.data.scenes import Scene, default_table
-from regnet_core.data.sensors import SENSORS
+from regnet_core.data.cameras.colour_noise import ColourNoise
+from regnet_core.data.cameras.dome import DomeConfig, dome_camera, dome_for
+from regnet_core.data.cameras.noise import DepthNoise
+from regnet_core.data.cameras.rendering import FIXTURE_ID, FLOOR_ID, NOTHING_ID, TABLE_ID, SceneRenderer
+from regnet_core.data.cameras.sensors import SENSORS
+from regnet_core.data.objects.models import ObjectModel, build_mesh
+from regnet_core.data.scenes.scene import Scene, default_table
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Box, transform_points
 

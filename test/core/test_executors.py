@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from regnet_core.data.executors import LocalExecutor, WorkerError
+from regnet_core.data.generation.executors import LocalExecutor, WorkerError
 from regnet_core.errors import InvalidInputError
 
 

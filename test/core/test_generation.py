@@ -17,14 +17,14 @@ import torch
 from torch.utils.data import DataLoader
 
 from regnet_core.cli import main
-from regnet_core.data.archive import SceneArchive
-from regnet_core.data.candidates import CandidateConfig
-from regnet_core.data.confidence import D_TH
 from regnet_core.data.dataset import GraspDataset, collate
-from regnet_core.data.generation import generate
-from regnet_core.data.manifest import Manifest, checksum
-from regnet_core.data.settings import GenerationSettings
-from regnet_core.data.statistics import statistics
+from regnet_core.data.generation.run import generate
+from regnet_core.data.generation.settings import GenerationSettings
+from regnet_core.data.labels.candidates import CandidateConfig
+from regnet_core.data.labels.confidence import D_TH
+from regnet_core.data.storage.archive import SceneArchive
+from regnet_core.data.storage.manifest import Manifest, checksum
+from regnet_core.data.storage.statistics import statistics
 from regnet_core.errors import InvalidInputError
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.gripper import Gripper
@@ -101,9 +101,9 @@ def test_killed_workers_and_a_killed_parent_change_nothing(folder: Path, tmp_pat
     settings = json.dumps(SETTINGS.to_dict())
     program = (
         "import json, sys; from pathlib import Path\n"
-        "from regnet_core.data.executors import LocalExecutor\n"
-        "from regnet_core.data.generation import generate\n"
-        "from regnet_core.data.settings import GenerationSettings\n"
+        "from regnet_core.data.generation.executors import LocalExecutor\n"
+        "from regnet_core.data.generation.run import generate\n"
+        "from regnet_core.data.generation.settings import GenerationSettings\n"
         "if __name__ == '__main__':\n"
         "    settings = GenerationSettings.from_dict(json.loads(sys.argv[2]))\n"
         "    generate(Path(sys.argv[1]), settings, LocalExecutor(2), progress=lambda *p: print(*p, flush=True))\n"
@@ -164,6 +164,18 @@ def test_other_settings_are_refused_and_named(folder: Path, tmp_path: Path) -> N
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InvalidInputError, match=r"holds other files and no manifest\.json"):
         generate(tmp_path, SETTINGS, Here())
+
+
+def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
+    class Intruder(Here):
+        def run(self, function: Any, shared: Any, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+            with pytest.raises(InvalidInputError, match="another run of `regnet generate` is at work in"):
+                generate(tmp_path, SETTINGS, Here())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(tmp_path, SETTINGS, Intruder())
+    assert Manifest.load(tmp_path).settings == SETTINGS
 
 
 @pytest.mark.parametrize(

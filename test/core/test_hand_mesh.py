@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.objects import sample_object
+from regnet_core.data.objects.models import sample_object
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.geometry import Box
 from regnet_core.grasps import Grasps

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from regnet_core.data.candidates import CandidateConfig, Candidates, object_candidates, resting_directions
-from regnet_core.data.confidence import D_TH, grasp_weights, point_confidence
-from regnet_core.data.labels import GraspLabels, LabelConfig, LabelledScene, SceneLabeller
-from regnet_core.data.objects import ObjectModel, sample_object
-from regnet_core.data.scenes import Scene, default_table
+from regnet_core.data.labels.candidates import CandidateConfig, Candidates, object_candidates, resting_directions
+from regnet_core.data.labels.confidence import D_TH, grasp_weights, point_confidence
+from regnet_core.data.labels.scene_labels import GraspLabels, LabelConfig, LabelledScene, SceneLabeller
+from regnet_core.data.objects.models import ObjectModel, sample_object
+from regnet_core.data.scenes.scene import Scene, default_table
 from regnet_core.errors import InvalidInputError
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.geometry import Box

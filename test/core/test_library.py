@@ -9,7 +9,8 @@ import pytest
 import trimesh
 from safetensors.numpy import load, save
 
-from regnet_core.data.library import (
+from regnet_core.data.objects.files import object_from_bytes, object_to_bytes
+from regnet_core.data.objects.library import (
     BANDS,
     DEFAULT_COUNTS,
     HEAVIEST,
@@ -21,9 +22,8 @@ from regnet_core.data.library import (
     normalised,
     split_families,
 )
-from regnet_core.data.object_files import object_from_bytes, object_to_bytes
-from regnet_core.data.objects import FAMILIES, ObjectModel
-from regnet_core.data.scenes import default_table
+from regnet_core.data.objects.models import FAMILIES, ObjectModel
+from regnet_core.data.scenes.scene import default_table
 from regnet_core.errors import InvalidInputError
 from regnet_core.sim.world import world_spec
 

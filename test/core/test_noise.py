@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from regnet_core.data.camera import Camera
-from regnet_core.data.noise import DepthNoise, add_depth_noise, axial_sigma, depth_edges, quantised, shadows
-from regnet_core.data.rendering import SceneRenderer
-from regnet_core.data.scenes import Scene, default_table
-from regnet_core.data.sensors import SENSORS
+from regnet_core.data.cameras.camera import Camera
+from regnet_core.data.cameras.noise import DepthNoise, add_depth_noise, axial_sigma, depth_edges, quantised, shadows
+from regnet_core.data.cameras.rendering import SceneRenderer
+from regnet_core.data.cameras.sensors import SENSORS
+from regnet_core.data.scenes.scene import Scene, default_table
 from regnet_core.errors import InvalidInputError
 
 SPREAD = {

@@ -6,9 +6,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from regnet_core.data.meshing import SECTIONS, Solid, union
-from regnet_core.data.objects import FAMILIES, Family, ObjectModel, build_mesh, build_solid, sample_object
-from regnet_core.data.user_meshes import WIDEST_GRASP, grasp_width
+from regnet_core.data.objects.meshing import SECTIONS, Solid, union
+from regnet_core.data.objects.models import FAMILIES, Family, ObjectModel, build_mesh, build_solid, sample_object
+from regnet_core.data.objects.user_meshes import WIDEST_GRASP, grasp_width
 from regnet_core.errors import InvalidInputError
 
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.archive import view_points
-from regnet_core.data.camera import KINECT_V2, Camera, look_at
-from regnet_core.data.compact import from_steps, pack, to_steps, unpack
-from regnet_core.data.labels import GraspLabels
-from regnet_core.data.records import (
+from regnet_core.data.cameras.camera import KINECT_V2, Camera, look_at
+from regnet_core.data.cameras.rendering import NOTHING_ID, TABLE_ID, View
+from regnet_core.data.labels.scene_labels import GraspLabels
+from regnet_core.data.storage.archive import view_points
+from regnet_core.data.storage.compact import from_steps, pack, to_steps, unpack
+from regnet_core.data.storage.records import (
     SceneInfo,
     ViewInfo,
     info_from_bytes,
@@ -21,8 +22,7 @@ from regnet_core.data.records import (
     view_from_bytes,
     view_to_bytes,
 )
-from regnet_core.data.rendering import NOTHING_ID, TABLE_ID, View
-from regnet_core.data.tars import index_tar, read_tar, write_tar, write_whole
+from regnet_core.data.storage.tars import index_tar, read_tar, write_tar, write_whole
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Box
 

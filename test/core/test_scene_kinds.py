@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.bins import BinConfig, make_bin, sample_bin
-from regnet_core.data.dropping import DropConfig
-from regnet_core.data.objects import ObjectModel, build_mesh
-from regnet_core.data.scene_kinds import SCENE_KINDS, KindConfig, SceneError, compose_scene, object_count
-from regnet_core.data.scenes import Scene, default_table
-from regnet_core.data.settling import Settling
-from regnet_core.data.standing import PackConfig, pack, stands
+from regnet_core.data.objects.models import ObjectModel, build_mesh
+from regnet_core.data.scenes.bins import BinConfig, make_bin, sample_bin
+from regnet_core.data.scenes.dropping import DropConfig
+from regnet_core.data.scenes.kinds import SCENE_KINDS, KindConfig, SceneError, compose_scene, object_count
+from regnet_core.data.scenes.scene import Scene, default_table
+from regnet_core.data.scenes.settling import Settling
+from regnet_core.data.scenes.standing import PackConfig, pack, stands
 from regnet_core.errors import InvalidInputError
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.grasps import Grasps

@@ -7,9 +7,9 @@ import open3d as o3d
 import pytest
 import trimesh
 
-from regnet_core.data.dropping import DropConfig, SceneError, make_scene
-from regnet_core.data.objects import sample_object
-from regnet_core.data.scenes import Scene, default_table
+from regnet_core.data.objects.models import sample_object
+from regnet_core.data.scenes.dropping import DropConfig, SceneError, make_scene
+from regnet_core.data.scenes.scene import Scene, default_table
 from regnet_core.errors import InvalidInputError
 
 FAMILIES = ("box", "cylinder", "can", "l_profile", "superquadric")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from regnet_core.data.objects import ObjectModel, build_mesh
-from regnet_core.data.scenes import TABLE_HEIGHT, Scene, default_table
+from regnet_core.data.objects.models import ObjectModel, build_mesh
+from regnet_core.data.scenes.scene import TABLE_HEIGHT, Scene, default_table
 from regnet_core.errors import GripperError, InvalidInputError
 from regnet_core.geometry import Box
 from regnet_core.grasps import Grasps

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from regnet_core.data.object_files import object_from_bytes, object_to_bytes
-from regnet_core.data.objects import build_mesh
-from regnet_core.data.user_meshes import FAMILY, GREY, HEAVIEST, SUFFIXES, ImportResult, grasp_width, import_meshes
+from regnet_core.data.objects.files import object_from_bytes, object_to_bytes
+from regnet_core.data.objects.models import build_mesh
+from regnet_core.data.objects.user_meshes import (
+    FAMILY,
+    GREY,
+    HEAVIEST,
+    SUFFIXES,
+    ImportResult,
+    grasp_width,
+    import_meshes,
+)
 from regnet_core.errors import InvalidInputError
 
 BRACKET = {"long_leg": 0.1, "short_leg": 0.06, "thickness": 0.02, "width": 0.03}

@@ -1,0 +1,1 @@
+"""Depth cameras: poses, intrinsics, noise, and what they see of a scene."""

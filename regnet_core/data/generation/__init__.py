@@ -1,0 +1,1 @@
+"""Makes a data set: settings, workers, scenes."""

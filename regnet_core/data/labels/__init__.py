@@ -1,0 +1,1 @@
+"""Grasp labels: grasps of single objects, what a scene leaves of them, and point confidence."""
