@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from regnet_core.data.scenes import Scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.geometry import matrix_from_quaternion, pose_matrix, transform_points
 
 ROOT = Path(__file__).resolve().parents[2]

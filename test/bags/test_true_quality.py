@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from regnet_core import GraspDetector, Grasps, Gripper
-from regnet_core.data.scenes import Scene
+from regnet_core.data.scenes.scene import Scene
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.io.bags import BagCloud, read_bag_clouds
 
