@@ -1,7 +1,8 @@
 """The command ``regnet``; one module for each subcommand.
 
-Exit codes: 0 success; 1 an error in the program itself, with its traceback; 2 wrong usage or unusable input, with one
-line on stderr; 3 valid input in which no grasp was found; 130 interrupted.
+Exit codes: 0 success; 1 the work failed, with one line on stderr, or an error in the program itself, with its
+traceback; 2 wrong usage or unusable input, with one line on stderr; 3 valid input in which no grasp was found; 4 a data
+set with damaged files; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import typer
 
 from regnet_core import __version__
 from regnet_core.cli import detect, generate, inspect, models
-from regnet_core.errors import InvalidInputError
+from regnet_core.errors import InvalidInputError, RegnetError
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
 """ClickException. typer does not export it, and whether it is that of the package click depends on typer's version."""
@@ -53,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail("interrupted", 130)
     except (InvalidInputError, OSError) as error:
         return _fail(str(error), 2)
+    except RegnetError as error:
+        return _fail(str(error), 1)
     except Exception as error:
         if isinstance(error, _USAGE_ERROR):
             return _fail(error.format_message(), 2)

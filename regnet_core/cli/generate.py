@@ -50,20 +50,21 @@ def generate(
         int, typer.Option(help="Views of a scene from random places by random sensors.", rich_help_panel=_WHAT)
     ] = 2,
     library: Annotated[
-        int,
+        int | None,
         typer.Option(
             help="Number of procedural objects.",
             show_default="200 for train, 50 for val and test",
             rich_help_panel=_FROM,
         ),
-    ] = 0,
+    ] = None,
     objects: Annotated[
         Path | None,
         typer.Option(help="Folder of meshes (.obj .ply .stl .glb .off) to use instead.", rich_help_panel=_FROM),
     ] = None,
     objects_scale: Annotated[
-        float, typer.Option(help="Factor from the meshes' unit to metres.", rich_help_panel=_FROM)
-    ] = 1.0,
+        float | None,
+        typer.Option(help="Factor from the meshes' unit to metres.", show_default="1", rich_help_panel=_FROM),
+    ] = None,
     workers: Annotated[
         int, typer.Option(help="Processes on this machine; 0: one for each core.", rich_help_panel=_WHERE)
     ] = 0,
@@ -82,16 +83,21 @@ def generate(
         from regnet_core.data.generation.executors import LocalExecutor, RayExecutor
         from regnet_core.data.generation.run import generate as run
         from regnet_core.data.generation.settings import KIND_SHARES, GenerationSettings
-    models = _import(objects, objects_scale) if objects is not None else ()
+    widths = tuple(width or _DEFAULT_WIDTHS)
+    if objects is not None and library is not None:
+        raise InvalidInputError("--objects takes the place of the procedural library: leave out --library")
+    if objects is None and objects_scale is not None:
+        raise InvalidInputError("--objects-scale is for your own meshes: it needs --objects DIR")
+    models = _import(objects, objects_scale or 1.0, max(widths)) if objects is not None else ()
     settings = GenerationSettings(
         seed=seed,
         split=split,
         scenes=scenes,
-        widths=tuple(width or _DEFAULT_WIDTHS),
+        widths=widths,
         kinds=tuple(_kinds(kind).items()) if kind else tuple(KIND_SHARES.items()),
         paper_views=paper_views,
         dome_views=dome_views,
-        objects=len(models) or library,
+        objects=len(models) or library or 0,
         meshes=_digest(models),
     )
     executor = LocalExecutor(workers) if ray is None else RayExecutor(ray)
@@ -114,6 +120,8 @@ def _kinds(options: list[str]) -> dict[str, float]:
     shares = {}
     for option in options:
         name, _, share = option.partition("=")
+        if name in shares:
+            raise InvalidInputError(f"--kind {name} is given twice")
         try:
             shares[name] = float(share) if share else 1.0
         except ValueError:
@@ -121,11 +129,11 @@ def _kinds(options: list[str]) -> dict[str, float]:
     return shares
 
 
-def _import(folder: Path, scale: float) -> tuple[Any, ...]:
+def _import(folder: Path, scale: float, widest: float) -> tuple[Any, ...]:
     """The user's meshes; what is refused is said, with the reason."""
     with needs("generate --objects", "data"):
         from regnet_core.data.objects.user_meshes import import_meshes
-    result = import_meshes(folder, scale)
+    result = import_meshes(folder, scale, widest)
     for refusal in result.refused:
         typer.echo(f"regnet: refused {refusal.path}: {refusal.reason}", err=True)
     if not result.accepted:

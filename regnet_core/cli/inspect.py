@@ -29,37 +29,52 @@ def inspect(
         Path | None, typer.Option("--view", help="Draw a scene with confidence and best grasps: .png, or .html.")
     ] = None,
     scene: Annotated[int | None, typer.Option(help="Scene to draw.", show_default="the first one")] = None,
-    camera: Annotated[int, typer.Option(help="Which of its views to draw.")] = 0,
+    camera: Annotated[int | None, typer.Option(help="Which of its views to draw.", show_default="0")] = None,
     width: Annotated[
         list[float] | None,
         typer.Option("--gripper-width", "-w", help="Widths to draw.", show_default="the least and the largest"),
     ] = None,
     verify: Annotated[
         bool,
-        typer.Option("--verify", help=f"Compare each file with its checksum; exit code {DAMAGED} if one differs."),
+        typer.Option("--verify", help=f"Compare all files with their checksums; exit code {DAMAGED} if one differs."),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the statistics as JSON.")] = False,
 ) -> None:
     """Print the statistics of a data set beside those of the paper, or draw one of its scenes."""
     with needs("inspect", "data"):
         from regnet_core.data.storage.archive import SceneArchive
+        from regnet_core.data.storage.manifest import damaged_files
         from regnet_core.data.storage.statistics import statistics
+    _check_options(view_file, scene, camera, width, verify, as_json)
+    if verify and (damaged := damaged_files(folder)):
+        typer.echo(f"damaged: {', '.join(damaged)}")
+        raise typer.Exit(DAMAGED)
     archive = SceneArchive(folder)
     if view_file is not None:
-        _draw(archive, view_file, scene, camera, width)
+        _draw(archive, view_file, scene, camera or 0, width)
         return
     if not len(archive):
         raise InvalidInputError(f"'{folder}' has no finished shard of scenes yet; run `regnet generate` to its end")
-    damaged = archive.damaged() if verify else []
     result = statistics(archive)
     if as_json:
-        typer.echo(json.dumps({**dataclasses.asdict(result), "damaged": damaged}))
-    else:
-        _print(archive, result)
-        if verify:
-            typer.echo(f"damaged: {', '.join(damaged)}" if damaged else "every shard has its checksum")
-    if damaged:
-        raise typer.Exit(DAMAGED)
+        typer.echo(json.dumps(dataclasses.asdict(result)))
+        return
+    _print(archive, result)
+    if verify:
+        typer.echo("every file has its checksum")
+
+
+def _check_options(
+    view: Path | None, scene: int | None, camera: int | None, width: list[float] | None, verify: bool, as_json: bool
+) -> None:
+    """Refuse what would be ignored."""
+    drawing = {"--scene": scene, "--camera": camera, "--gripper-width": width}
+    if view is None:
+        for name, value in drawing.items():
+            if value is not None:
+                raise InvalidInputError(f"{name} says what to draw: it needs --view FILE.png")
+    elif verify or as_json:
+        raise InvalidInputError("--view draws and prints nothing: give --verify or --json in a call of its own")
 
 
 def _print(archive: SceneArchive, result: Statistics) -> None:
@@ -81,7 +96,7 @@ def _print(archive: SceneArchive, result: Statistics) -> None:
     for row in result.widths:
         paper = PAPER_TABLE.get(row.width)
         table.add_row(
-            f"{row.width:.2f}",
+            f"{row.width:g}",
             f"{row.found:.0f}",
             f"{row.stored.grasps:.0f}",
             f"{row.stored.antipodal_score:.4f}",

@@ -17,9 +17,11 @@ def needs(command: str, extra: str) -> Iterator[None]:
     """
     try:
         yield
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         if (error.name or "").startswith("regnet_core"):
             raise
-        raise InvalidInputError(
-            f"`regnet {command}` needs the package {error.name}; pip install 'regnet_ros[{extra}]' brings it"
-        ) from error
+        if isinstance(error, ModuleNotFoundError):
+            reason = f"the package {error.name}; pip install 'regnet_ros[{extra}]' brings it"
+        else:  # a shared library of the system, such as libGL.so.1
+            reason = f"something that the system lacks: {error}"
+        raise InvalidInputError(f"`regnet {command}` needs {reason}") from error

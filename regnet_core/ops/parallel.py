@@ -7,10 +7,24 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
+_limit: int | None = None
+
+
+def use_cores(count: int) -> None:
+    """Use at most so many cores from now on; for processes that share a machine."""
+    global _limit
+    _limit = count
+    _forget()
+
 
 @cache
 def available_cores() -> int:
     """How many cores this process may use."""
+    there = _cores_of_the_process()
+    return there if _limit is None else min(there, _limit)
+
+
+def _cores_of_the_process() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

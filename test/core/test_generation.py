@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -45,7 +46,7 @@ SETTINGS = GenerationSettings(
 class Here:
     """Runs everything in this process, in the order given, and may be told to stop."""
 
-    workers = 1
+    local = True
 
     def __init__(self, stop_after: int | None = None, backwards: bool = False) -> None:
         self.left = stop_after
@@ -80,7 +81,7 @@ def test_a_data_set_has_what_was_asked_for(folder: Path) -> None:
     assert {"numpy", "mujoco", "regnet_ros"} <= set(manifest.made_with)
     assert not list((folder / "parts").iterdir())
     archive = SceneArchive(folder)
-    assert archive.indices == (0, 1, 2, 3, 4) and archive.damaged() == []
+    assert archive.indices == (0, 1, 2, 3, 4)
     for index in archive:
         info = archive.info(index)
         assert len(info.views) == 2 and info.widths == (0.06, 0.10) and set(info.objects) <= set(manifest.objects)
@@ -292,7 +293,7 @@ def test_statistics_are_means_of_what_is_stored(folder: Path) -> None:
 def test_inspect_prints_draws_and_verifies(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", str(folder), "--verify"]) == 0
     shown = capsys.readouterr().out
-    assert "5 scenes" in shown and "883" in shown and "0.8654" in shown and "every shard has its checksum" in shown
+    assert "5 scenes" in shown and "883" in shown and "0.8654" in shown and "every file has its checksum" in shown
     assert main(["inspect", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenes"] == 5
     picture = tmp_path / "scene.png"
@@ -302,13 +303,90 @@ def test_inspect_prints_draws_and_verifies(folder: Path, tmp_path: Path, capsys:
     assert "widths 0.06, 0.1 m, not 0.3" in capsys.readouterr().err
 
 
-def test_a_damaged_shard_is_found(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def _flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("damage", ["flipped", "cut short", "missing", "unknown", "object"])
+def test_verify_finds_damage_of_every_kind(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str
+) -> None:
     copy = tmp_path / "copy"
-    (copy / "shards").mkdir(parents=True)
-    (copy / "manifest.json").write_bytes((folder / "manifest.json").read_bytes())
-    for path in (folder / "shards").iterdir():
-        data = bytearray(path.read_bytes())
-        if path.name == "shard-00001.tar":
-            data[-3000] ^= 1
-        (copy / "shards" / path.name).write_bytes(data)
-    assert SceneArchive(copy).damaged() == ["shard-00001.tar"]
+    shutil.copytree(folder, copy)
+    shard = copy / "shards" / "shard-00001.tar"
+    wrong = f"shards/{shard.name}"
+    match damage:
+        case "flipped":
+            _flip(shard)
+        case "cut short":
+            shard.write_bytes(shard.read_bytes()[:5000])
+        case "missing":
+            shard.unlink()
+        case "unknown":
+            wrong = "shards/shard-00077.tar"
+            shutil.copy(shard, copy / wrong)
+        case "object":
+            path = next((copy / "objects").iterdir())
+            _flip(path)
+            wrong = f"objects/{path.name}"
+    assert main(["inspect", str(copy), "--verify"]) == 4
+    assert capsys.readouterr().out == f"damaged: {wrong}\n"
+
+
+def test_other_versions_of_the_libraries_are_refused(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    manifest = Manifest.load(copy)
+    manifest.made_with = {**manifest.made_with, "mujoco": "3.0.0"}
+    manifest.save(copy)
+    with pytest.raises(InvalidInputError, match=r"other versions \(mujoco: 3\.0\.0 there, 4"):
+        generate(copy, dataclasses.replace(SETTINGS, scenes=6), Here())
+
+
+def test_candidates_may_be_deleted_and_come_back(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    shutil.rmtree(copy / "candidates")
+    generate(copy, SETTINGS, Here(stop_after=0))  # complete: there is nothing to do
+    generate(copy, dataclasses.replace(SETTINGS, scenes=6), Here())
+    assert _checksums(copy)["shards/shard-00000.tar"] == _checksums(folder)["shards/shard-00000.tar"]
+    assert (copy / "candidates").is_dir() and len(SceneArchive(copy)) == 6
+
+
+def test_generate_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "data"
+    command = ["generate", "--out", str(out), "--scenes", "1", "--library", "1", "--kind", "single", "-w", "0.08"]
+    assert main([*command, "--paper-views", "1", "--dome-views", "0", "--workers", "1", "-q"]) == 0
+    assert capsys.readouterr().out == "" and len(SceneArchive(out)) == 1
+    assert main([*command, "--seed", "1"]) == 2
+    assert "begun with other settings (seed: 0 there, 1 asked for" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--objects", ".", "--library", "3"], "leave out --library"),
+        (["--objects-scale", "0.001"], "it needs --objects DIR"),
+        (["--kind", "pile", "--kind", "pile=2"], "--kind pile is given twice"),
+        (["--kind", "pile=many"], "--kind takes KIND or KIND=SHARE"),
+        (["--workers", "-1"], "workers must be at least 0"),
+        (["--objects", "nowhere"], "is not a folder"),
+        (["--split", "dev"], "split must be one of"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["generate", "--out", str(tmp_path / "data"), *options]) == 2
+    shown = capsys.readouterr().err
+    assert message in shown and shown.count("\n") == 1
+    assert not (tmp_path / "data").exists()
+
+
+def test_inspect_refuses_options_that_it_would_ignore(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(folder), "--scene", "3"]) == 2
+    assert "--scene says what to draw: it needs --view FILE.png" in capsys.readouterr().err
+    assert main(["inspect", str(folder), "--view", "a.png", "--json"]) == 2
+    assert "in a call of its own" in capsys.readouterr().err

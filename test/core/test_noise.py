@@ -1,12 +1,16 @@
 """The depth cameras' noise against its formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 
-from regnet_core.data.cameras.camera import Camera
+from regnet_core.data.cameras.camera import Camera, look_at
 from regnet_core.data.cameras.noise import DepthNoise, add_depth_noise, axial_sigma, depth_edges, quantised, shadows
 from regnet_core.data.cameras.rendering import SceneRenderer
 from regnet_core.data.cameras.sensors import SENSORS
+from regnet_core.data.objects.models import ObjectModel
 from regnet_core.data.scenes.scene import Scene, default_table
 from regnet_core.errors import InvalidInputError
 
@@ -194,3 +198,21 @@ def test_edges_lose_pixels_and_some_fly_behind() -> None:
     flying = (front > 1.02) & (front < 1.48)
     assert 0.02 < np.mean(flying) < 0.15
     assert not np.any((noisy[:, :28] > 1.02) & (noisy[:, :28] < 1.48))
+
+
+def test_pixels_that_show_a_nearer_depth_show_that_surface() -> None:
+    rng = np.random.default_rng(0)
+    box = ObjectModel("box", "box", {}, trimesh.creation.box((0.1, 0.1, 0.15)), (250, 0, 0), 500.0, 0.5)
+    pose = np.eye(4)
+    pose[2, 3] = 0.75 + 0.075
+    renderer = SceneRenderer(Scene((box,), pose[None], default_table()))
+    sensor = SENSORS["realsense_d435"]
+    camera = Camera(sensor.intrinsics, look_at((0.5, 0.2, 1.3), (0.0, 0.0, 0.8)))
+    noise = replace(sensor.noise, edge_flying=0.0, axial=0.0, lateral=0.0)
+    view = renderer.render(camera, noise, rng)
+    exact = renderer.render(camera)
+    points, pixels = view.cloud()
+    # Far above the table there is nothing but the box.
+    high = points[:, 2] > 0.79
+    assert np.all(view.object_ids.ravel()[pixels[high]] == 0)
+    assert (view.object_ids != exact.object_ids).sum() > 20

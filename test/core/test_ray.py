@@ -24,7 +24,7 @@ SETTINGS = GenerationSettings(
 class Here:
     """Runs everything in this process."""
 
-    workers = 1
+    local = True
 
     def run(self, function, shared, items):  # type: ignore[no-untyped-def]
         return ((item, function(shared, item)) for item in items)
@@ -56,6 +56,15 @@ def test_a_node_that_dies_on_the_way_changes_nothing(cluster: Cluster, tmp_path:
     assert killed and manifest.complete
     alone = generate(tmp_path / "here", SETTINGS, Here())
     assert Manifest.load(tmp_path / "ray").shards == alone.shards
+
+
+def _give_up(_: None, item: int) -> int:
+    raise ValueError(f"item {item} is bad")
+
+
+def test_an_error_of_the_function_reaches_the_caller(cluster: Cluster) -> None:
+    with pytest.raises(ValueError, match="item 5 is bad"):
+        list(RayExecutor(cluster.address).run(_give_up, None, [5]))
 
 
 def test_no_cluster_is_a_clear_error() -> None:

@@ -1,12 +1,15 @@
 """The files of a data set: what is written comes back, compactly, and what is damaged is refused."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from scipy.spatial.transform import Rotation
 
+from regnet_core.coder import canonical_rotation, decode_orientation
 from regnet_core.data.cameras.camera import KINECT_V2, Camera, look_at
 from regnet_core.data.cameras.rendering import NOTHING_ID, TABLE_ID, View
 from regnet_core.data.labels.scene_labels import GraspLabels
@@ -31,7 +34,7 @@ def _labels(count: int, seed: int) -> GraspLabels:
     rng = np.random.default_rng(seed)
     return GraspLabels(
         rng.uniform(-0.5, 1.5, (count, 3)),
-        Rotation.random(count, rng=rng).as_matrix() if count else np.zeros((0, 3, 3)),
+        canonical_rotation(Rotation.random(count, rng=rng).as_matrix()) if count else np.zeros((0, 3, 3)),
         rng.uniform(0, 1, count),
         rng.uniform(-0.06, 0.06, (count, 2)),
         rng.uniform(0, 0.06, count),
@@ -67,6 +70,21 @@ def test_labels_come_back_within_their_steps() -> None:
         np.testing.assert_allclose(after.contacts, before.contacts, atol=2.6e-5)
         np.testing.assert_allclose(after.entry, before.entry, atol=2.6e-5)
         np.testing.assert_array_equal(after.object_index, before.object_index)
+
+
+def test_rotations_stay_canonical_and_contacts_go_with_them() -> None:
+    rng = np.random.default_rng(0)
+    # Closing directions just beside the border of the canonical form, x = 0.
+    angle = rng.uniform(-1.0, 1.0, 500)
+    r = np.column_stack([rng.uniform(0.0, 3e-5, 500), np.cos(angle), np.sin(angle)])
+    rotation = canonical_rotation(decode_orientation(r, rng.uniform(-1.0, 1.0, 500)))
+    written = dataclasses.replace(_labels(500, 1), rotation=rotation)
+    (read,) = labels_from_bytes(labels_to_bytes([written]))
+    np.testing.assert_array_equal(canonical_rotation(read.rotation), read.rotation)
+    at = [one.contacts[:, :, None] * one.rotation[:, None, :, 1] for one in (written, read)]
+    at[1] = np.where(np.einsum("mi,mi->m", *(one.rotation[:, :, 1] for one in (written, read)))[:, None, None] < 0,
+                     at[1][:, ::-1], at[1])  # fmt: skip
+    np.testing.assert_allclose(at[1], at[0], atol=6e-5)
 
 
 def test_labels_take_little_space() -> None:
@@ -121,6 +139,14 @@ def test_another_schema_and_damage_are_refused() -> None:
         labels_from_bytes(labels_to_bytes([_labels(20, 0)])[:-30], "000001.grasps")
     with pytest.raises(InvalidInputError, match="is not zstd-compressed"):
         unpack(b"garbage", "it")
+    other = pack({"count": np.zeros(1, np.int32), "translation": np.zeros((2, 4))})
+    with pytest.raises(InvalidInputError, match=r"it must hold translation of shape \(None, 3\), got \(2, 4\)"):
+        labels_from_bytes(other, "it")
+    with pytest.raises(InvalidInputError, match=r"the view must hold depth of shape \(None, None\), got None"):
+        view_from_bytes(other)
+    huge = zstandard.ZstdCompressor().compressobj(size=2**45)
+    with pytest.raises(InvalidInputError, match="would take more than"):
+        unpack(huge.compress(b"x") + huge.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK), "it")
 
 
 def test_arrays_come_back_and_are_packed_the_same_way_twice() -> None:

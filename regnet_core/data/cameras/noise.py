@@ -17,6 +17,7 @@ noise is correlated over a few pixels.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +201,24 @@ def add_depth_noise(
         noise: strengths.
         rng: source of every random number.
     """
+    return noisy_depth(depth, incidence, noise, rng).depth
+
+
+class NoisyDepth(NamedTuple):
+    """A depth image with noise."""
+
+    depth: NDArray[np.float64]
+    """(H, W) [m]; NaN where there is no return."""
+    bled: NDArray[np.int64]
+    """(B,) flat indices of the pixels that show the depth of a nearer surface beside them."""
+    source: NDArray[np.int64]
+    """(B,) flat indices of pixels of that surface."""
+
+
+def noisy_depth(
+    depth: NDArray[np.float64], incidence: NDArray[np.float64], noise: DepthNoise, rng: np.random.Generator
+) -> NoisyDepth:
+    """As `add_depth_noise`, and where foreground bled into the background."""
     edge = _widened(depth_edges(depth, noise.edge_step), noise.edge_width)
     chance = _uniform(depth.shape, noise.correlation, rng)
     sigma = axial_sigma(depth, incidence, noise.axial_model)
@@ -217,7 +236,21 @@ def add_depth_noise(
     with np.errstate(invalid="ignore"):
         lost |= ~((result >= noise.near) & (result <= noise.far))
     result[lost] = np.nan
-    return result
+    bled = np.flatnonzero(bleeding & ~lost)
+    return NoisyDepth(result, bled, _nearest_pixels(depth, bled, noise.edge_width))
+
+
+def _nearest_pixels(depth: NDArray[np.float64], pixels: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    """For pixels (B,) the pixel of the least depth within the reach that `_neighbourhood` has; flat indices."""
+    offsets = np.arange(-width - 1, width + 2) if width > 0 else np.zeros(1, np.int64)
+    if len(pixels) == 0:
+        return pixels
+    rows, columns = np.divmod(pixels, depth.shape[1])
+    rows = np.clip(rows[:, None, None] + offsets[:, None], 0, depth.shape[0] - 1)
+    columns = np.clip(columns[:, None, None] + offsets, 0, depth.shape[1] - 1)
+    near = (rows * depth.shape[1] + columns).reshape(len(pixels), -1)
+    z = np.where(np.isfinite(depth), depth, np.inf).ravel()[near]
+    return near[np.arange(len(pixels)), z.argmin(axis=1)]
 
 
 def quantised(depth: NDArray[np.float64], noise: DepthNoise) -> NDArray[np.float64]:

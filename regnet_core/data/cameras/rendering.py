@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from regnet_core.data.cameras.camera import Camera, Window
 from regnet_core.data.cameras.colour_noise import ColourNoise, add_colour_noise
-from regnet_core.data.cameras.noise import DepthNoise, add_depth_noise, lateral_offsets
+from regnet_core.data.cameras.noise import DepthNoise, lateral_offsets, noisy_depth
 from regnet_core.data.scenes.scene import TABLE_COLOUR, Scene
 from regnet_core.geometry import Box, transform_points
 
@@ -135,7 +135,11 @@ class SceneRenderer:
         normals = np.where(facing[..., None] < 0.0, -normals, normals)
         facing = np.abs(facing)
         if noise is not None and rng is not None:
-            depth = add_depth_noise(depth, np.arccos(np.clip(facing, 0.0, 1.0)), noise, rng)
+            noisy = noisy_depth(depth, np.arccos(np.clip(facing, 0.0, 1.0)), noise, rng)
+            depth = noisy.depth
+            # What shows a surface's depth shows that surface.
+            for image in (geometry.reshape(-1), facing.reshape(-1), normals.reshape(-1, 3)):
+                image[noisy.bled] = image[noisy.source]
         shade = 0.55 + 0.3 * facing + 0.15 * np.clip(normals[..., 2], 0.0, 1.0)
         colours = np.clip(np.round(self._colours[geometry] * shade[..., None]), 0, 255).astype(np.uint8)
         return View(camera, depth, normals, self._ids[geometry], colours)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,12 +18,14 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
 from regnet_core.errors import InvalidInputError, RegnetError
-from regnet_core.ops.parallel import available_cores
+from regnet_core.ops.parallel import available_cores, use_cores
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _QUEUED = 2
 """Items given out to each worker at a time: enough that none waits."""
+_RETRIES = 5
+"""How often a task is done again on a cluster after its worker or node died."""
 _DEATHS = 3
 """Deaths of workers without a result in between before giving up."""
 
@@ -34,7 +37,8 @@ class WorkerError(RegnetError):
 class Executor(Protocol):
     """Runs a function over items."""
 
-    workers: int
+    local: bool
+    """Whether the work is done on this machine, where the data set's files are."""
 
     def run(
         self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
@@ -49,7 +53,9 @@ class Executor(Protocol):
 
 
 class LocalExecutor:
-    """Processes on this machine, each bound to one core."""
+    """Processes on this machine, each with one thread; bound to a core where there are as many as cores."""
+
+    local = True
 
     def __init__(self, workers: int = 0) -> None:
         """Args: number of processes; 0 for as many as there are cores.
@@ -84,7 +90,7 @@ class LocalExecutor:
     ) -> Iterator[tuple[Item, Result]]:
         # Not forked: the parent may have threads (of Open3D, of the progress bar), which a fork would leave behind.
         context = multiprocessing.get_context("spawn")
-        turn = context.Value("i", 0)
+        turn = context.Value("i", 0) if self.workers >= available_cores() else None
         pool = ProcessPoolExecutor(self.workers, context, _start_worker, (turn, function, shared))
         try:
             yield from _in_flight(lambda item: pool.submit(_work, item), items, self.workers * _QUEUED)
@@ -119,11 +125,12 @@ _job: tuple[Callable[[Any, Any], Any], Any] | None = None
 def _start_worker(turn: Any, function: Callable[[Any, Any], Any], shared: Any) -> None:
     global _job
     _job = function, shared
-    with turn.get_lock():
-        number = turn.value
-        turn.value += 1
-    if hasattr(os, "sched_setaffinity"):
+    use_cores(1)
+    if turn is not None and hasattr(os, "sched_setaffinity"):
         # One core for each: the threads of the libraries would only get in each other's way.
+        with turn.get_lock():
+            number = turn.value
+            turn.value += 1
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[number % len(cores)]})
     # Ctrl-C reaches the whole group; the parent alone decides what becomes of the work.
@@ -145,7 +152,9 @@ def _work(item: Any) -> Any:
 
 
 class RayExecutor:
-    """Tasks on a Ray cluster; those of a node that dies are run elsewhere."""
+    """Tasks on a Ray cluster; those of a node that dies are run elsewhere, and nodes that join get work."""
+
+    local = False
 
     def __init__(self, address: str) -> None:
         """Args: the cluster's address as `ray.init` takes it: host:port, ray://host:port, auto, or local.
@@ -159,24 +168,52 @@ class RayExecutor:
             raise InvalidInputError("Ray is not installed; pip install 'regnet_ros[cluster]' brings it") from error
         self._ray = ray
         if not ray.is_initialized():
+            _probe(address)
             try:
                 ray.init(address=address, log_to_driver=False, configure_logging=False)
             except (ConnectionError, ValueError, RuntimeError) as error:
                 raise InvalidInputError(f"no Ray cluster answers at {address!r}: {error}") from error
-        self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+    @property
+    def workers(self) -> int:
+        """CPUs of the cluster now."""
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def run(
         self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
     ) -> Iterator[tuple[Item, Result]]:
         ray = self._ray
-        task = ray.remote(num_cpus=1, max_retries=-1, retry_exceptions=False)(function)
+        task = ray.remote(num_cpus=1, max_retries=_RETRIES)(_on_one_core)
         reference = ray.put(shared)
         waiting: dict[Any, Item] = {}
         queue = iter(items)
         while True:
             while len(waiting) < self.workers * _QUEUED and (item := next(queue, None)) is not None:
-                waiting[task.remote(reference, item)] = item
+                waiting[task.remote(function, reference, item)] = item
             if not waiting:
                 return
             for done in ray.wait(list(waiting), num_returns=1)[0]:
-                yield waiting.pop(done), ray.get(done)
+                try:
+                    result = ray.get(done)
+                except ray.exceptions.RayTaskError as error:
+                    raise error.as_instanceof_cause() from None
+                except ray.exceptions.RayError as error:
+                    raise WorkerError(f"a task failed {_RETRIES + 1} times on the cluster: {error}") from error
+                yield waiting.pop(done), result
+
+
+def _on_one_core(function: Callable[[Any, Item], Result], shared: Any, item: Item) -> Result:
+    """A task has one core of its node: the kernels' threads would take all."""
+    use_cores(1)
+    return function(shared, item)
+
+
+def _probe(address: str) -> None:
+    """Refuse an address host:port at which nothing listens; Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=5.0).close()
+    except (OSError, OverflowError) as error:
+        raise InvalidInputError(f"no Ray cluster answers at {address!r}: {error}") from error

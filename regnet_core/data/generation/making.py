@@ -38,6 +38,8 @@ REACH = 0.42
 BELOW, ABOVE = 0.07, 0.5
 """How far below and above the table's top views keep points [m]."""
 COLOUR_NOISE = ColourNoise(pixel=4.0, brightness=0.15, white_balance=0.05)
+_DOMAIN = 0x5CE7E
+"""Sets the random numbers of scenes apart from those of the object library."""
 _SPLIT_CODE = {"train": 0, "val": 1, "test": 2}
 
 
@@ -65,7 +67,7 @@ def make_scene_tar(index: int, settings: GenerationSettings, names: Sequence[str
         GenerationError: no draw came to rest.
     """
     for redraw in range(REDRAWS):
-        rng = np.random.default_rng([settings.seed, _SPLIT_CODE[settings.split], index, redraw])
+        rng = np.random.default_rng([_DOMAIN, settings.seed, _SPLIT_CODE[settings.split], index, redraw])
         kind = _draw_kind(settings, rng)
         count = min(object_count(kind, rng), len(names), MOST_OBJECTS_IN_A_SCENE)
         objects = [library[names[i]] for i in rng.choice(len(names), count, replace=False)]
@@ -74,7 +76,10 @@ def make_scene_tar(index: int, settings: GenerationSettings, names: Sequence[str
         except SceneError:
             continue
         return _encode(index, kind, scene, objects, settings, rng, redraw)
-    raise GenerationError(f"scene {index} of seed {settings.seed} did not come to rest in {REDRAWS} draws")
+    raise GenerationError(
+        f"scene {index} of seed {settings.seed} did not come to rest in {REDRAWS} draws; choose another seed, other "
+        "kinds of scenes (--kind), or objects that can lie still"
+    )
 
 
 def _draw_kind(settings: GenerationSettings, rng: np.random.Generator) -> str:

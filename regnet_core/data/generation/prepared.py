@@ -73,9 +73,10 @@ def candidates_from_bytes(data: bytes, widths: int, what: str) -> tuple[Candidat
 
     def read(w: int) -> Candidates:
         point, quaternion, *rest = (arrays[f"{w}.{name}"] for name in _FIELDS)
-        translation, high, low, score, entry = (value.astype(np.float64) for value in rest)
-        rotation = rotation_from_quaternion(quaternion.astype(np.float64))
-        return Candidates(point.astype(np.int64), rotation, translation, high, low, score, entry)
+        translation, high, low, score, entry = rest
+        # Single precision, as stored: a process may keep hundreds of objects.
+        rotation = rotation_from_quaternion(quaternion.astype(np.float64)).astype(np.float32)
+        return Candidates(point.astype(np.int32), rotation, translation, high, low, score, entry)
 
     return tuple(read(w) for w in range(widths))
 

@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-from collections.abc import Callable, Iterator, Sequence
+import hashlib
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from regnet_core.data.generation.executors import Executor, RayExecutor
+from regnet_core.data.generation.executors import Executor
 from regnet_core.data.generation.making import make_scene_tar
 from regnet_core.data.generation.prepared import (
     FolderSource,
@@ -32,9 +34,9 @@ from regnet_core.data.generation.settings import GenerationSettings
 from regnet_core.data.objects.files import object_from_bytes, object_to_bytes
 from regnet_core.data.objects.library import ObjectSpec, build_object, library_specs
 from regnet_core.data.objects.models import ObjectModel
-from regnet_core.data.storage.manifest import NAME, Manifest, checksum
+from regnet_core.data.storage.manifest import NAME, Manifest, checksum, library_versions
 from regnet_core.data.storage.records import scene_key
-from regnet_core.data.storage.tars import read_tar, remove_leftovers, write_tar, write_whole
+from regnet_core.data.storage.tars import index_tar, read_tar, remove_leftovers, write_tar, write_whole
 from regnet_core.errors import InvalidInputError
 
 LOCK = ".lock"
@@ -51,6 +53,9 @@ def generate(
     progress: Progress = lambda stage, done, total: None,
 ) -> Manifest:
     """Make the data set, or what is missing of it.
+
+    A script that calls this with a ``LocalExecutor`` needs the line ``if __name__ == "__main__":``, since its workers
+    are started anew and import it.
 
     Args:
         folder: where it is made; new, empty, or begun with the same settings (with more scenes it is continued).
@@ -76,16 +81,14 @@ def _generate(
 ) -> Manifest:
     manifest = _open(folder, settings)
     source = FolderSource(folder)
-    manifest = dataclasses.replace(manifest, objects=_prepare(folder, settings, models, executor, progress))
-    manifest.save(folder)
     store = SceneStore(folder, settings, manifest)
     missing = store.missing()
-    progress("scenes", settings.scenes - len(missing), settings.scenes)
     if missing:
-        shared: ObjectSource = source
-        if isinstance(executor, RayExecutor):
-            shared = MemorySource.of(source, manifest.objects)
-        job = SceneJob(settings, manifest.objects, shared)
+        _prepare(folder, manifest, models, executor, progress)
+        names = tuple(manifest.objects)
+        shared: ObjectSource = source if executor.local else MemorySource.of(source, names)
+        job = SceneJob(settings, names, shared, library_versions())
+        progress("scenes", settings.scenes - len(missing), settings.scenes)
         for done, (index, data) in enumerate(executor.run(run_scene_job, job, missing), 1):
             store.add(index, data)
             progress("scenes", settings.scenes - len(missing) + done, settings.scenes)
@@ -107,6 +110,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _open(folder: Path, settings: GenerationSettings) -> Manifest:
+    remove_leftovers(folder)
     if not (folder / NAME).is_file():
         if any(path.name != LOCK for path in folder.iterdir()):
             raise InvalidInputError(f"'{folder}' holds other files and no {NAME}; choose a new or empty folder")
@@ -127,7 +131,14 @@ def _open(folder: Path, settings: GenerationSettings) -> Manifest:
         raise InvalidInputError(
             f"'{folder}' is a data set of {old.settings.scenes} scenes; it can get more, not fewer ({settings.scenes})"
         )
-    return Manifest(settings, old.objects, old.shards, False)
+    if old.made_with != (now := library_versions()):
+        changed = [f"{name}: {old.made_with.get(name)} there, {now[name]} here" for name in now
+                   if old.made_with.get(name) != now[name]]  # fmt: skip
+        raise InvalidInputError(
+            f"'{folder}' was begun with other versions ({'; '.join(changed)}), whose scenes would be others; install "
+            "those, or choose another folder"
+        )
+    return Manifest(settings, old.objects, old.shards, False, old.made_with)
 
 
 # -- objects
@@ -152,12 +163,17 @@ def run_object_job(job: ObjectJob, item: ObjectItem) -> tuple[str, bytes, bytes]
 
 def _prepare(
     folder: Path,
-    settings: GenerationSettings,
+    manifest: Manifest,
     models: Sequence[ObjectModel],
     executor: Executor,
     progress: Progress,
-) -> tuple[str, ...]:
-    """Build the objects that are missing; the names of all, in the library's order."""
+) -> None:
+    """Build the objects that are missing, and record all of them in the library's order.
+
+    Raises:
+        InvalidInputError: an object's file is not the one that scenes were made with.
+    """
+    settings = manifest.settings
     source = FolderSource(folder)
     remove_leftovers(folder / "objects", folder / "candidates")
     items: dict[str, ObjectItem]
@@ -165,15 +181,23 @@ def _prepare(
         items = {model.name: object_to_bytes(model) for model in models}
     else:
         items = {spec.name: spec for spec in library_specs(settings.split, settings.objects, settings.seed)}
-    missing = [item for name, item in items.items() if not source.candidates_path(name).is_file()]
+    missing = [
+        item
+        for name, item in items.items()
+        if not (source.candidates_path(name).is_file() and source.object_path(name).is_file())
+    ]
     done = len(items) - len(missing)
     progress("objects", done, len(items))
     for _, (name, model, candidates) in executor.run(run_object_job, ObjectJob(settings), missing):
+        recorded = manifest.objects.get(name)
+        if recorded not in (None, hashlib.sha256(model).hexdigest()):
+            raise InvalidInputError(f"the object {name} is not the one that the scenes in '{folder}' were made with")
         write_whole(source.object_path(name), model)
         write_whole(source.candidates_path(name), candidates)
         done += 1
         progress("objects", done, len(items))
-    return tuple(items)
+    manifest.objects = {name: checksum(source.object_path(name)) for name in items}
+    manifest.save(folder)
 
 
 # -- scenes
@@ -186,6 +210,7 @@ class SceneJob:
     settings: GenerationSettings
     names: tuple[str, ...]
     source: ObjectSource
+    versions: Mapping[str, str]
 
 
 _libraries: dict[tuple[str, str], PreparedLibrary] = {}
@@ -193,7 +218,13 @@ _libraries: dict[tuple[str, str], PreparedLibrary] = {}
 
 
 def run_scene_job(job: SceneJob, index: int) -> bytes:
-    """The tar archive of one scene."""
+    """The tar archive of one scene.
+
+    Raises:
+        InvalidInputError: this process has other versions of the libraries than the one that gave the job.
+    """
+    if (own := library_versions()) != job.versions:
+        raise InvalidInputError(f"{socket.gethostname()} has other versions ({own}) than asked for ({job.versions})")
     key = (job.settings.object_digest(), repr(job.source) if isinstance(job.source, FolderSource) else "")
     if key not in _libraries:
         _libraries.clear()
@@ -234,29 +265,34 @@ class SceneStore:
     def _reopen(self, shard: int) -> None:
         """Back to parts, if the shard holds fewer scenes than it should by now."""
         path = self._path(shard)
-        scenes = _by_scene(read_tar(path.read_bytes(), f"'{path}'"))
-        if set(scenes) == {scene_key(index) for index in self._range(shard)}:
+        there = {name.split(".", 1)[0] for name in index_tar(path)}
+        if there == {scene_key(index) for index in self._range(shard)}:
             if path.name not in self._manifest.shards:
                 self._record(shard)
             for index in self._range(shard):
                 self._part(index).unlink(missing_ok=True)
             return
-        for key, members in scenes.items():
+        for key, members in _by_scene(read_tar(path.read_bytes(), f"'{path}'")).items():
             write_whole(self.parts / f"{key}.tar", write_tar(members))
+        self._forget(shard)
         path.unlink()
-        self._manifest.shards.pop(path.name, None)
-        self._manifest.save(self._folder)
 
     def _close(self, shard: int) -> None:
         """Make the shard, if all its scenes are there as parts."""
         parts = [self._part(index) for index in self._range(shard)]
         if not parts or not all(part.is_file() for part in parts):
             return
+        self._forget(shard)
         members = [member for part in parts for member in read_tar(part.read_bytes(), f"'{part}'")]
         write_whole(self._path(shard), write_tar(members))
         self._record(shard)
         for part in parts:
             part.unlink()
+
+    def _forget(self, shard: int) -> None:
+        """Take the checksum out of the manifest before the file changes: a missing one is made up for, a wrong not."""
+        if self._manifest.shards.pop(self._path(shard).name, None) is not None:
+            self._manifest.save(self._folder)
 
     def _record(self, shard: int) -> None:
         path = self._path(shard)
@@ -282,8 +318,3 @@ def _by_scene(members: Sequence[tuple[str, bytes]]) -> dict[str, list[tuple[str,
     for name, data in members:
         scenes.setdefault(name.split(".", 1)[0], []).append((name, data))
     return scenes
-
-
-def shard_paths(folder: Path) -> Iterator[Path]:
-    """The tar files of a data set, in the order of their scenes."""
-    yield from sorted((folder / "shards").glob("shard-*.tar"))

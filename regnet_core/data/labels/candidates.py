@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from regnet_core.gripper import Gripper
 from regnet_core.ops.hand_mesh import HandMesh, hand_on_mesh
 from regnet_core.ops.triangle_tree import TriangleTree, build_tree
 
+Floats = npt.NDArray[np.floating[Any]]
 APPROACHES = 3
 """Ways to choose an approach at a surface point."""
 
@@ -70,19 +72,19 @@ class CandidateConfig:
 class Candidates:
     """M grasps of one object with the jaw open at W, collision-free with the object and touching it with both pads."""
 
-    point: npt.NDArray[np.int64]
+    point: npt.NDArray[np.integer[Any]]
     """(M,): the sampled surface point that a grasp came from; grasps of one point are alike."""
-    rotation: Array
+    rotation: Floats
     """(M, 3, 3): grasp frames in the object's frame."""
-    translation: Array
+    translation: Floats
     """(M, 3): grasp centres c in the object's frame [m]."""
-    high: Array
+    high: Floats
     """(M,): y in the grasp frame of the contact of the finger at +Y [m]."""
-    low: Array
+    low: Floats
     """(M,): that of the finger at -Y [m]."""
-    score: Array
+    score: Floats
     """(M,): s_q = cos(alpha_i) cos(alpha_j)."""
-    entry: Array
+    entry: Floats
     """(M,): x at which the approach axis enters the object, or, where it misses it, at which the object begins [m]."""
 
     def __len__(self) -> int:

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from regnet_core.checks import check_range
+from regnet_core.coder import canonical_rotation
 from regnet_core.collision import lowest_height
-from regnet_core.data.labels.candidates import Candidates
+from regnet_core.data.labels.candidates import Candidates, Floats
 from regnet_core.data.scenes.scene import Scene
 from regnet_core.geometry import Array, Box, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.ops.hand_mesh import CONTACT_DEPTH, box_mesh_faces, hand_on_mesh
 from regnet_core.ops.triangle_tree import TriangleTree, build_tree
-
-Floats = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -165,11 +164,7 @@ class SceneLabeller:
         return np.sort(kept)
 
     def _labels(self, index: int, own: Candidates) -> GraspLabels:
-        canonical = Grasps.from_poses(own.rotation, own.translation, np.ones(len(own)), own.score).rotation
-        contacts = np.stack([own.low, own.high], axis=1)
-        # In the mirrored frame of a turned jaw, the finger at +Y is the other one.
-        turned = np.einsum("mi,mi->m", canonical[:, :, 1], own.rotation[:, :, 1]) < 0.0
-        contacts = np.where(turned[:, None], -contacts[:, ::-1], contacts)
+        canonical, contacts = canonical_jaw(own.rotation, np.stack([own.low, own.high], axis=1))
         return GraspLabels(
             own.translation, canonical, own.score, contacts, own.entry, np.full(len(own), index, np.int64)
         )
@@ -214,6 +209,14 @@ class _Obstacle(NamedTuple):
         centre = translation + middle * rotation[:, :, 0]
         outside = np.maximum(np.maximum(self.lower - centre, centre - self.upper), 0.0)
         return np.einsum("mi,mi->m", outside, outside) <= radius**2
+
+
+def canonical_jaw(rotation: Floats, contacts: Floats) -> tuple[Array, Floats]:
+    """Rotations (M, 3, 3) in canonical form, and the contacts (M, 2) at -Y and +Y in their frames."""
+    canonical = canonical_rotation(np.asarray(rotation, np.float64))
+    # In the mirrored frame of a turned jaw, the finger at +Y is the other one.
+    turned = np.einsum("mi,mi->m", canonical[:, :, 1], rotation[:, :, 1]) < 0.0
+    return canonical, np.where(turned[:, None], -contacts[:, ::-1], contacts)
 
 
 def _rank_at_point(own: Candidates) -> npt.NDArray[np.int64]:

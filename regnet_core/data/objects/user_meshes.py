@@ -30,7 +30,7 @@ LARGEST, SMALLEST = 0.6, 0.01
 SMALLEST_VOLUME = 1e-7
 """[m^3]; less is a surface without an inside."""
 WIDEST_GRASP = 0.12
-"""Opening of the widest gripper [m]."""
+"""Opening of the widest gripper, unless another is given [m]."""
 MOST_FACES = 20_000
 LARGEST_HOLE = 0.1
 """Holes are filled up to this share of the surface; a larger one is more likely an opening than a defect."""
@@ -71,7 +71,7 @@ class _RefusedError(Exception):
     """Carries the reason of a refusal."""
 
 
-def import_meshes(folder: Path, scale: float = 1.0) -> ImportResult:
+def import_meshes(folder: Path, scale: float = 1.0, widest: float = WIDEST_GRASP) -> ImportResult:
     """Makes an object of every mesh file (SUFFIXES) in a folder and the folders in it.
 
     Lengths are metres after scaling. Open seams, small holes, wrong windings, duplicate and degenerate faces are
@@ -81,6 +81,7 @@ def import_meshes(folder: Path, scale: float = 1.0) -> ImportResult:
     Args:
         folder: where the files are.
         scale: metres per unit of the files.
+        widest: opening of the widest gripper that is to grasp them [m].
 
     Raises:
         InvalidInputError: the folder does not exist or holds no mesh files, or the scale is not a positive number.
@@ -98,7 +99,7 @@ def import_meshes(folder: Path, scale: float = 1.0) -> ImportResult:
     for path in paths:
         words = _words(path.relative_to(folder))
         try:
-            mesh, colour = _import(path, scale)
+            mesh, colour = _import(path, scale, widest)
             _refuse_copy(
                 mesh, [(accepted[name], origin) for name, origin in origins.items() if _same(origin, path, folder)]
             )
@@ -107,6 +108,9 @@ def import_meshes(folder: Path, scale: float = 1.0) -> ImportResult:
             origins[name] = path
         except _RefusedError as refusal:
             refused.append(Refusal(path, str(refusal)))
+        except Exception as error:  # whatever the libraries that repair and decompose make of a strange mesh
+            reason = f"it cannot be repaired: {type(error).__name__}: {str(error)[:120]}"
+            refused.append(Refusal(path, f"{reason}; make it watertight in a mesh editor"))
     return ImportResult(tuple(accepted.values()), tuple(refused))
 
 
@@ -158,7 +162,7 @@ def _refuse_copy(mesh: trimesh.Trimesh, others: Sequence[tuple[ObjectModel, Path
 # Reading
 
 
-def _import(path: Path, scale: float) -> tuple[trimesh.Trimesh, tuple[int, int, int]]:
+def _import(path: Path, scale: float, widest: float) -> tuple[trimesh.Trimesh, tuple[int, int, int]]:
     """The closed mesh of a file, centre of mass at the origin, and its colour."""
     pieces = _read(path)
     colour = _colour(pieces)
@@ -168,7 +172,7 @@ def _import(path: Path, scale: float) -> tuple[trimesh.Trimesh, tuple[int, int, 
     mesh = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     _check_size(mesh, scale)
     mesh = _simplified(_closed(mesh))
-    _check_inside(mesh)
+    _check_inside(mesh, widest)
     mesh.apply_translation(-mesh.center_mass)
     return mesh, colour
 
@@ -227,7 +231,11 @@ def _closed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return mesh
     if mesh.is_watertight:
         mesh = _united(mesh)
-    return mesh if mesh.is_volume else _rebuilt(mesh)
+    if mesh.is_volume:
+        return mesh
+    if abs(mesh.volume) < SMALLEST_VOLUME and mesh.convex_hull.volume < SMALLEST_VOLUME:
+        raise _RefusedError("it is a flat sheet without an inside; give it a thickness")
+    return _rebuilt(mesh)
 
 
 def _filled(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -338,16 +346,16 @@ def _check_size(mesh: trimesh.Trimesh, scale: float) -> None:
     )
 
 
-def _check_inside(mesh: trimesh.Trimesh) -> None:
+def _check_inside(mesh: trimesh.Trimesh, widest: float) -> None:
     if mesh.volume < SMALLEST_VOLUME:
         raise _RefusedError(
             f"its volume is {1e6 * mesh.volume:.3g} cm^3, that of a surface without an inside; give it a thickness"
         )
     width = grasp_width(mesh)
-    if width > WIDEST_GRASP:
+    if width > widest:
         raise _RefusedError(
             f"there is nothing to grasp: it is {width:.3f} m thick where it is thinnest, and the widest gripper opens "
-            f"{WIDEST_GRASP} m"
+            f"{widest:g} m"
         )
 
 

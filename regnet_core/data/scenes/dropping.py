@@ -124,7 +124,8 @@ class _Table:
         """x and y of an object whose vertices, (V, 3) about its centre, are `corners`; height of what is below [m]."""
         radius = self._spread * np.sqrt(rng.uniform())
         angle = rng.uniform(0.0, 2.0 * np.pi)
-        return radius * np.cos(angle), radius * np.sin(angle), float(self._upper[2])
+        x, y = 0.5 * (self._lower + self._upper)[:2]
+        return x + radius * np.cos(angle), y + radius * np.sin(angle), float(self._upper[2])
 
     def holds(self, centre: Array) -> bool:
         """Whether a centre of mass (3,) is where it may be."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -11,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.data.generation.prepared import FolderSource
-from regnet_core.data.generation.run import shard_paths
 from regnet_core.data.labels.scene_labels import GraspLabels
 from regnet_core.data.objects.files import object_from_bytes
 from regnet_core.data.objects.models import ObjectModel
 from regnet_core.data.scenes.scene import Scene
-from regnet_core.data.storage.manifest import Manifest, checksum
+from regnet_core.data.storage.manifest import Manifest
 from regnet_core.data.storage.records import (
     SceneInfo,
     ViewData,
@@ -26,14 +24,14 @@ from regnet_core.data.storage.records import (
     scene_key,
     view_from_bytes,
 )
-from regnet_core.data.storage.tars import Extent, index_tar
+from regnet_core.data.storage.tars import Extent, index_tar, shard_paths
 from regnet_core.errors import InvalidInputError
 
 
 class SceneArchive:
     """The scenes of a data set, numbered from 0.
 
-    It may be used in forked and in spawned processes alike: files are opened where they are read.
+    Files are opened for each read, so it may go to other processes, and archives may be many.
     """
 
     def __init__(self, folder: Path | str) -> None:
@@ -50,16 +48,12 @@ class SceneArchive:
         keys = (name.removesuffix(".json") for name in self._extents if name.endswith(".json"))
         self.indices: tuple[int, ...] = tuple(sorted(int(key) for key in keys))
         """Numbers of the scenes that are there."""
-        self._open: dict[tuple[int, Path], int] = {}
 
     def __len__(self) -> int:
         return len(self.indices)
 
     def __iter__(self) -> Iterator[int]:
         return iter(self.indices)
-
-    def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "_open": {}}
 
     @property
     def widths(self) -> tuple[float, ...]:
@@ -90,27 +84,13 @@ class SceneArchive:
         """An object of the data set's library."""
         return _load_model(FolderSource(self.folder).object_path(name))
 
-    def damaged(self) -> list[str]:
-        """Names of the shards that do not have the checksum of the manifest."""
-        return [
-            name
-            for name, digest in sorted(self.manifest.shards.items())
-            if not (path := self.folder / "shards" / name).is_file() or checksum(path) != digest
-        ]
-
     def _read(self, name: str) -> bytes:
         if name not in self._extents:
             raise InvalidInputError(f"'{self.folder}' has no {name}; its scenes are {_ranges(self.indices)}")
         path, extent = self._extents[name]
-        key = os.getpid(), path
-        if key not in self._open:
-            self._open[key] = os.open(path, os.O_RDONLY)
-        return os.pread(self._open[key], extent.size, extent.offset)
-
-    def __del__(self) -> None:
-        for (pid, _), descriptor in getattr(self, "_open", {}).items():
-            if pid == os.getpid():
-                os.close(descriptor)
+        with open(path, "rb") as file:
+            file.seek(extent.offset)
+            return file.read(extent.size)
 
 
 @lru_cache(maxsize=512)

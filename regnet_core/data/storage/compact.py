@@ -15,6 +15,7 @@ from safetensors.numpy import load, save
 from regnet_core.errors import InvalidInputError
 
 _LEVEL = 6
+_LARGEST = 2**30
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
@@ -24,16 +25,38 @@ def pack(arrays: Arrays) -> bytes:
     return zstandard.ZstdCompressor(level=_LEVEL).compress(save(contiguous))
 
 
-def unpack(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
+def unpack(
+    data: bytes, what: str, shapes: Mapping[str, tuple[int | None, ...]] | None = None
+) -> dict[str, npt.NDArray[Any]]:
     """What ``pack`` made of arrays.
 
+    Args:
+        data: the bytes.
+        what: names them in error messages.
+        shapes: the arrays that must be there, with their shapes; None stands for any length.
+
     Raises:
-        InvalidInputError: the bytes are damaged or something else; ``what`` names them in the message.
+        InvalidInputError: the bytes are damaged, or hold something else.
     """
     try:
-        return dict(load(zstandard.ZstdDecompressor().decompress(data)))
+        if zstandard.frame_content_size(data) > _LARGEST:
+            raise InvalidInputError(f"{what} would take more than {_LARGEST} bytes")
+        arrays = dict(load(zstandard.ZstdDecompressor().decompress(data)))
     except (zstandard.ZstdError, SafetensorError) as error:
         raise InvalidInputError(f"{what} is not zstd-compressed safetensors: {error}") from error
+    for name, shape in (shapes or {}).items():
+        found = arrays[name].shape if name in arrays else None
+        if (
+            found is None
+            or len(found) != len(shape)
+            or any(b not in (None, a) for a, b in zip(found, shape, strict=True))
+        ):
+            raise InvalidInputError(f"{what} must hold {name} of shape {shape}, got {found}")
+    return arrays
+
+
+def _fits(found: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(found) == len(wanted) and all(b in (None, a) for a, b in zip(found, wanted, strict=True))
 
 
 def to_steps(values: npt.ArrayLike, step: float, dtype: type[np.integer[Any]]) -> npt.NDArray[Any]:

@@ -13,10 +13,12 @@ from typing import Any
 from regnet_core import __version__
 from regnet_core.data.generation.settings import GenerationSettings
 from regnet_core.data.storage.records import SCHEMA
-from regnet_core.data.storage.tars import write_whole
+from regnet_core.data.storage.tars import shard_paths, write_whole
 from regnet_core.errors import InvalidInputError
 
 NAME = "manifest.json"
+GENERATOR = "1"
+"""To be counted up with every change that makes other scenes, views or labels of the same settings."""
 _LIBRARIES = ("numpy", "scipy", "mujoco", "open3d-cpu", "coacd", "manifold3d", "trimesh")
 """What the numbers may depend on."""
 
@@ -25,14 +27,14 @@ _LIBRARIES = ("numpy", "scipy", "mujoco", "open3d-cpu", "coacd", "manifold3d", "
 class Manifest:
     """Attributes:
     settings: what the data set is made from.
-    objects: names of the objects, in the library's order.
+    objects: sha256 of each object's file, by name, in the library's order.
     shards: sha256 of each tar file, by name.
     complete: all scenes are there.
     made_with: versions of regnet and of the libraries that its numbers may depend on.
     """
 
     settings: GenerationSettings
-    objects: tuple[str, ...] = ()
+    objects: dict[str, str] = field(default_factory=dict)
     shards: dict[str, str] = field(default_factory=dict)
     complete: bool = False
     made_with: Mapping[str, str] = field(default_factory=lambda: library_versions())
@@ -67,7 +69,7 @@ class Manifest:
                 )
             return cls(
                 GenerationSettings.from_dict(document["settings"]),
-                tuple(document["objects"]),
+                dict(document["objects"]),
                 dict(document["shards"]),
                 bool(document["complete"]),
                 dict(document["made_with"]),
@@ -79,14 +81,33 @@ class Manifest:
 
 
 def library_versions() -> dict[str, str]:
-    """Version of regnet and of each library that a data set's numbers may depend on."""
-    found = {"regnet_ros": __version__}
+    """Version of the generator, of regnet and of each library that a data set's numbers may depend on."""
+    found = {"generator": GENERATOR, "regnet_ros": __version__}
     for name in _LIBRARIES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def damaged_files(folder: Path) -> list[str]:
+    """Files of a data set that are missing or do not have the checksum of the manifest, relative to its folder.
+
+    Raises:
+        InvalidInputError: there is no manifest, or it is damaged.
+    """
+    manifest = Manifest.load(folder)
+    expected = {f"shards/{name}": digest for name, digest in manifest.shards.items()}
+    expected |= {f"objects/{name}.safetensors": digest for name, digest in manifest.objects.items()}
+    wrong = {name for name, digest in expected.items() if not matches(folder / name, digest)}
+    unknown = {f"shards/{path.name}" for path in shard_paths(folder)} - set(expected)
+    return sorted(wrong | unknown)
+
+
+def matches(path: Path, digest: str) -> bool:
+    """Whether a file is there and has the checksum."""
+    return path.is_file() and checksum(path) == digest
 
 
 def checksum(path: Path) -> str:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from regnet_core.data.cameras.camera import Camera, Intrinsics
 from regnet_core.data.cameras.rendering import FIXTURE_ID, TABLE_ID, View
-from regnet_core.data.labels.scene_labels import GraspLabels, rotation_from_quaternion
+from regnet_core.data.labels.scene_labels import GraspLabels, canonical_jaw, rotation_from_quaternion
 from regnet_core.data.storage.compact import from_steps, pack, to_json, to_steps, unpack
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box
@@ -37,6 +37,23 @@ SCORE_STEP = 1.0 / 65535
 CONFIDENCE_STEP = 1.0 / 255
 TABLE_CODE, FIXTURE_CODE, NOTHING_CODE = 250, 251, 255
 """Object indices below TABLE_CODE are the scene's objects."""
+
+
+_LABEL_SHAPES: Mapping[str, tuple[int | None, ...]] = {
+    "count": (None,),
+    "translation": (None, 3),
+    "quaternion": (None, 4),
+    "score": (None,),
+    "contacts": (None, 2),
+    "entry": (None,),
+    "object_index": (None,),
+}
+_VIEW_SHAPES: Mapping[str, tuple[int | None, ...]] = {
+    "depth": (None, None),
+    "colours": (None, None, 3),
+    "object_index": (None, None),
+    "confidence": (None, None, None),
+}
 
 
 @dataclass(frozen=True)
@@ -95,7 +112,8 @@ class ViewData:
     Attributes:
         depth: (H, W) float32 z in the optical frame [m]; NaN where there is no return.
         colours: (H, W, 3) uint8 red, green, blue.
-        object_index: (H, W) index of the object, or -1 for the table, -2 for a fixture, -3 for nothing.
+        object_index: (H, W) index of the object, or -1 for the table, -2 for a fixture, -3 for anything else: nothing,
+            the floor, or a point that floats between two surfaces.
         confidence: (widths, H, W) float32 point grasp confidence, eq. (1).
     """
 
@@ -180,12 +198,18 @@ def labels_from_bytes(data: bytes, what: str = "the labels") -> list[GraspLabels
     Raises:
         InvalidInputError: it is damaged.
     """
-    arrays = unpack(data, what)
+    arrays = unpack(data, what, _LABEL_SHAPES)
+    if arrays["count"].sum() != len(arrays["score"]):
+        raise InvalidInputError(f"{what} holds {len(arrays['score'])} grasps and counts {arrays['count'].sum()}")
+    # Rounding may move a rotation at the border of the canonical form to its other side.
+    rotation, contacts = canonical_jaw(
+        rotation_from_quaternion(arrays["quaternion"].astype(np.float64)), from_steps(arrays["contacts"], LENGTH_STEP)
+    )
     every = GraspLabels(
         translation=from_steps(arrays["translation"], LENGTH_STEP),
-        rotation=rotation_from_quaternion(arrays["quaternion"].astype(np.float64)).astype(np.float32),
+        rotation=rotation.astype(np.float32),
         score=from_steps(arrays["score"], SCORE_STEP),
-        contacts=from_steps(arrays["contacts"], LENGTH_STEP),
+        contacts=contacts,
         entry=from_steps(arrays["entry"], LENGTH_STEP),
         object_index=arrays["object_index"].astype(np.int64),
     )
@@ -213,7 +237,7 @@ def view_from_bytes(data: bytes, what: str = "the view") -> ViewData:
     Raises:
         InvalidInputError: it is damaged.
     """
-    arrays = unpack(data, what)
+    arrays = unpack(data, what, _VIEW_SHAPES)
     steps = np.cumsum(arrays["depth"], axis=1, dtype=np.uint16)
     depth = from_steps(steps, DEPTH_STEP)
     depth[steps == 0] = np.nan

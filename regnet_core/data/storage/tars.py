@@ -12,6 +12,7 @@ from typing import NamedTuple
 from regnet_core.errors import InvalidInputError
 
 _BLOCK = 512
+_TEMPORARY = ".unfinished"
 
 
 class Extent(NamedTuple):
@@ -63,19 +64,28 @@ def index_tar(path: Path) -> Mapping[str, Extent]:
     return extents
 
 
+def shard_paths(folder: Path) -> list[Path]:
+    """The archives of a data set, in the order of their scenes."""
+    return sorted((folder / "shards").glob("shard-*.tar"))
+
+
 def remove_leftovers(*folders: Path) -> None:
     """Delete what a ``write_whole`` that was killed left behind."""
     for folder in folders:
-        for path in folder.glob(".*"):
+        for path in folder.glob(f".*{_TEMPORARY}"):
             path.unlink()
 
 
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file so that whoever looks, even after a crash, sees all of it or nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with open(temporary, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    temporary = path.with_name(f".{path.name}{_TEMPORARY}")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)  # a full disk would stay full
+        raise
