@@ -3,8 +3,8 @@
     python tools/check_labels.py DIR [--collisions 1000] [--trials 400] [--out docs/label_physics.png]
 
 Collisions: labels drawn at random, judged by python-fcl on the true meshes. Physics: for each tenth of s_q the same
-number of labels, drawn at random over scenes and widths, executed in the true scene by `GraspSimulator`. A label is held
-as planned if the object is held and did not turn in the hand by more than 20 degrees: s_q is that of the contacts as
+number of labels, drawn at random over scenes and widths, executed in the true scene by `GraspSimulator`. A label is
+held as planned if the object is held and did not turn in the hand by more than 20 degrees: s_q is that of the contacts as
 labelled, and a thin object that is gripped askew turns until it lies flush with the pads.
 """
 
@@ -137,10 +137,10 @@ def report_physics(trials: list[Trial], out: Path | None) -> None:
     score = np.array([trial.score for trial in trials])
     held = Curve.of(score, np.array([trial.success for trial in trials]))
     planned = Curve.of(score, np.array([trial.planned for trial in trials]))
-    for t in range(len(held.count)):
+    for t in range(len(held.trials)):
         print(
             f"s_q {BINS[t]:.1f} to {BINS[t + 1]:.1f}: {100 * held.rate[t]:5.1f} % held, "
-            f"{100 * planned.rate[t]:5.1f} % as planned, of {held.count[t]}"
+            f"{100 * planned.rate[t]:5.1f} % as planned, of {held.trials[t]}"
         )
     print(f"Pearson with s_q: held {held.pearson:.4f}, as planned {planned.pearson:.4f} (the paper's: 0.9687)")
     for name, chosen in (("s_q > 0.9", score > 0.9), ("s_q < 0.3", score < 0.3)):
@@ -163,8 +163,8 @@ class Curve(NamedTuple):
     """(10,) mean score."""
     rate: NDArray[np.float64]
     """(10,) share; NaN without trials."""
-    count: NDArray[np.int64]
-    """(10,) trials."""
+    trials: NDArray[np.int64]
+    """(10,)."""
 
     @classmethod
     def of(cls, score: NDArray[np.float64], success: NDArray[np.bool_]) -> "Curve":
@@ -177,12 +177,12 @@ class Curve(NamedTuple):
     @property
     def pearson(self) -> float:
         """Correlation of share and score."""
-        there = self.count > 0
+        there = self.trials > 0
         return float(np.corrcoef(self.score[there], self.rate[there])[0, 1])
 
     def interval(self) -> NDArray[np.float64]:
         """(2, 10) how far the ends of Wilson's 95 % interval are below and above the share."""
-        z, p, n = 1.96, np.nan_to_num(self.rate), np.maximum(self.count, 1)
+        z, p, n = 1.96, np.nan_to_num(self.rate), np.maximum(self.trials, 1)
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
         return np.clip(np.stack([p - centre + half, centre + half - p]), 0.0, None)
