@@ -4,8 +4,8 @@
 
 Collisions: labels drawn at random, judged by python-fcl on the true meshes. Physics: for each tenth of s_q the same
 number of labels, drawn at random over scenes and widths, executed in the true scene by `GraspSimulator`. A label is
-held as planned if the object is held and did not turn in the hand by more than 20 degrees: s_q is that of the contacts as
-labelled, and a thin object that is gripped askew turns until it lies flush with the pads.
+held as planned if the object is held and did not turn in the hand by more than 20 degrees: s_q is that of the contacts
+as labelled, and a thin object that is gripped askew turns until it lies flush with the pads.
 """
 
 import argparse
