@@ -1,0 +1,133 @@
+"""Ragged neighbourhoods: which points belong to each of C centres, without padding (CSR)."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.parallel import for_each_range
+
+Indices = npt.NDArray[np.int64]
+
+
+class Neighbourhoods(NamedTuple):
+    """The neighbours of C centres; those of centre c are ``indices[offsets[c]:offsets[c + 1]]``, in ascending order."""
+
+    indices: torch.Tensor
+    """(E,) int64: rows of the points."""
+    offsets: torch.Tensor
+    """(C + 1,) int64, from 0 to E."""
+
+    @property
+    def counts(self) -> torch.Tensor:
+        """(C,): how many neighbours each centre has."""
+        return self.offsets.diff()
+
+    def centres(self) -> torch.Tensor:
+        """(E,): the centre that each neighbour belongs to."""
+        index = torch.arange(len(self.offsets) - 1, device=self.offsets.device)
+        return torch.repeat_interleave(index, self.counts, output_size=len(self.indices))
+
+    def tiles(self, rows: int) -> Iterator[tuple[slice, Neighbourhoods]]:
+        """Runs of centres with at most so many neighbours together (a single centre may have more), and these."""
+        bounds, first = self.offsets.tolist(), 0
+        while first < len(bounds) - 1:
+            last = max(bisect_right(bounds, bounds[first] + rows) - 1, first + 1)
+            own = slice(bounds[first], bounds[last])
+            yield slice(first, last), Neighbourhoods(self.indices[own], self.offsets[first : last + 1] - own.start)
+            first = last
+
+    def to(self, device: torch.device | str) -> Neighbourhoods:
+        """The same on another device."""
+        return Neighbourhoods(self.indices.to(device), self.offsets.to(device))
+
+
+def joined(parts: Sequence[Neighbourhoods], first_points: Sequence[int]) -> Neighbourhoods:
+    """The neighbourhoods of several clouds as those of their concatenation.
+
+    Args:
+        parts: of each cloud, with the cloud's own point numbers.
+        first_points: where each cloud's points begin in the concatenation.
+    """
+    if len(parts) == 1 and first_points[0] == 0:
+        return parts[0]
+    indices = torch.cat([part.indices + first for part, first in zip(parts, first_points, strict=True)])
+    counts = torch.cat([part.counts for part in parts])
+    offsets = torch.zeros(len(counts) + 1, dtype=torch.int64, device=counts.device)
+    torch.cumsum(counts, 0, out=offsets[1:])
+    return Neighbourhoods(indices, offsets)
+
+
+def collect(search: Callable[[int, int, Indices, npt.NDArray[Any]], None], count: int, most: int) -> Neighbourhoods:
+    """Run a compiled search over all centres and close the gaps that it leaves.
+
+    Args:
+        search: called with a range of centres, fills ``found`` (C, most) and ``counts`` (C,) for them.
+        count: C.
+        most: K, the most neighbours of a centre.
+    """
+    found = np.empty((count, most), np.int32)
+    counts = np.zeros(count, np.int64)
+    for_each_range(lambda start, stop: search(start, stop, counts, found), count, least=64)
+    offsets = np.zeros(count + 1, np.int64)
+    np.cumsum(counts, out=offsets[1:])
+    indices = np.empty(offsets[-1], np.int64)
+    for_each_range(lambda start, stop: _compact(found, offsets, start, stop, indices), count, least=1024)
+    return Neighbourhoods(torch.from_numpy(indices), torch.from_numpy(offsets))
+
+
+def from_mask(inside: torch.Tensor, most: int) -> Neighbourhoods:
+    """The first ``most`` points of each centre, given which points belong to it (C, N); for any device."""
+    kept = inside & (inside.cumsum(dim=1, dtype=torch.int32) <= most)
+    offsets = torch.zeros(len(inside) + 1, dtype=torch.int64, device=inside.device)
+    torch.cumsum(kept.sum(dim=1), 0, out=offsets[1:])
+    return Neighbourhoods(kept.nonzero()[:, 1], offsets)
+
+
+@inlined
+def keep_first(near, n, centre, counts, found):  # type: ignore[no-untyped-def]
+    """Write the smallest of ``near[:n]`` (in any order, which changes) to the centre's row of ``found``, ascending."""
+    most = found.shape[1]
+    kept = min(n, most)
+    low, high = 0, n - 1 if n > most else 0
+    while low < high:  # quickselect: afterwards the smallest come first
+        pivot = near[(low + high) >> 1]
+        a, b = low, high
+        while a <= b:
+            while near[a] < pivot:
+                a += 1
+            while near[b] > pivot:
+                b -= 1
+            if a <= b:
+                near[a], near[b] = near[b], near[a]
+                a += 1
+                b -= 1
+        if most - 1 <= b:
+            high = b
+        elif most - 1 >= a:
+            low = a
+        else:
+            break
+    if kept > 96:
+        found[centre, :kept] = np.sort(near[:kept])
+    else:  # an insertion sort, the fastest for so few
+        for e in range(kept):
+            value, b = near[e], e - 1
+            while b >= 0 and found[centre, b] > value:
+                found[centre, b + 1] = found[centre, b]
+                b -= 1
+            found[centre, b + 1] = value
+    counts[centre] = kept
+
+
+@compiled
+def _compact(found, offsets, begin, end, indices):  # type: ignore[no-untyped-def]
+    for c in range(begin, end):
+        for i in range(offsets[c + 1] - offsets[c]):
+            indices[offsets[c] + i] = found[c, i]

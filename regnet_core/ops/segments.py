@@ -1,0 +1,164 @@
+"""Maxima over segments of rows, of different lengths; with gradients.
+
+On a CPU compiled kernels do the work, for float32 and bfloat16; elsewhere, and for other types, torch does.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from regnet_core.ops.compiled import compiled
+from regnet_core.ops.neighbourhoods import Neighbourhoods
+from regnet_core.ops.parallel import for_each_range
+
+
+def neighbour_max(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Tensor:
+    """The largest value of each channel among the neighbours, for values (N, C) of the points -> (centres, C).
+
+    A centre without neighbours gets 0. Of equal values the first one gets the gradient.
+    """
+    if _has_kernel(values):
+        return cast(torch.Tensor, _SegmentMax.apply(values, neighbours.indices, neighbours.offsets))
+    return segment_max_in_torch(values.index_select(0, neighbours.indices), neighbours.offsets)
+
+
+def segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
+    """The largest value of each channel in each segment, for values (E, C) and offsets (S + 1,) -> (S, C).
+
+    An empty segment gets 0. Of equal values the first one gets the gradient.
+    """
+    if _has_kernel(values):
+        return cast(torch.Tensor, _SegmentMax.apply(values, None, offsets))
+    return segment_max_in_torch(values, offsets)
+
+
+def segment_max_in_torch(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
+    """``segment_max`` on any device; equal values share the gradient."""
+    top = torch.segment_reduce(values, "max", offsets=offsets, axis=0, unsafe=True)
+    return torch.where(offsets.diff()[:, None] > 0, top, torch.zeros((), dtype=values.dtype, device=values.device))
+
+
+def _has_kernel(values: torch.Tensor) -> bool:
+    return values.device.type == "cpu" and values.dtype in (torch.float32, torch.bfloat16)
+
+
+def _as_array(values: torch.Tensor) -> npt.NDArray[Any]:
+    """A view as numpy sees it; of bfloat16 the bits as int16."""
+    values = values.detach().contiguous()
+    return values.view(torch.int16).numpy() if values.dtype == torch.bfloat16 else values.numpy()
+
+
+class _SegmentMax(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, values: torch.Tensor, indices: torch.Tensor | None, offsets: torch.Tensor
+    ) -> torch.Tensor:
+        segments, channels = len(offsets) - 1, values.shape[1]
+        top = values.new_empty((segments, channels))
+        rows = torch.empty((segments, channels), dtype=torch.int32)
+        source, target = _as_array(values), _as_array(top)
+        index = np.zeros(0, np.int64) if indices is None else indices.numpy()
+        bounds, chosen = offsets.numpy(), rows.numpy()
+        kernel = _max_of_bits if values.dtype == torch.bfloat16 else _max_of_floats
+
+        def run(start: int, stop: int) -> None:
+            kernel(source, index, indices is not None, bounds, start, stop, target, chosen)
+
+        for_each_range(run, segments, least=32)
+        ctx.save_for_backward(rows)
+        ctx.shape, ctx.shared = values.shape, indices is not None
+        return top
+
+    @staticmethod
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        (rows,) = ctx.saved_tensors
+        backward = _backward_of_shared if ctx.shared else _backward_of_own
+        return backward(grads[0], rows.numpy(), ctx.shape), None, None
+
+
+def _backward_of_own(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch.Size) -> torch.Tensor:
+    """Each row belongs to one segment: what reaches it is copied."""
+    total = torch.zeros(shape, dtype=grad.dtype)
+    source, target = _as_array(grad), _as_array(total)
+    for_each_range(lambda start, stop: _copy_back(source, rows, start, stop, target), len(rows), least=32)
+    return total
+
+
+def _backward_of_shared(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch.Size) -> torch.Tensor:
+    """A row may be the largest of several segments: what reaches it is added up, split by channels."""
+    total = torch.zeros(shape, dtype=torch.float32)
+    source, target = grad.float().contiguous().numpy(), total.numpy()
+    for_each_range(lambda start, stop: _add_back(source, rows, start, stop, target), shape[1], least=16)
+    return total.to(grad.dtype)
+
+
+@compiled
+def _max_of_floats(values, indices, gathered, offsets, begin, end, top, rows):  # type: ignore[no-untyped-def]
+    channels = values.shape[1]
+    for s in range(begin, end):
+        first, last = offsets[s], offsets[s + 1]
+        if first == last:
+            top[s] = 0.0
+            rows[s] = -1
+            continue
+        row = indices[first] if gathered else first
+        for c in range(channels):
+            top[s, c] = values[row, c]
+            rows[s, c] = row
+        for e in range(first + 1, last):
+            row = indices[e] if gathered else e
+            r = np.int32(row)
+            for c in range(channels):
+                value = values[row, c]
+                larger = value > top[s, c]
+                top[s, c] = value if larger else top[s, c]
+                rows[s, c] = r if larger else rows[s, c]
+
+
+@compiled
+def _max_of_bits(values, indices, gathered, offsets, begin, end, top, rows):  # type: ignore[no-untyped-def]
+    """The same for the bits of bfloat16: those of negative numbers sort backwards as integers, all but the sign."""
+    channels = values.shape[1]
+    for s in range(begin, end):
+        first, last = offsets[s], offsets[s + 1]
+        if first == last:
+            top[s] = 0
+            rows[s] = -1
+            continue
+        row = indices[first] if gathered else first
+        for c in range(channels):
+            value = values[row, c]
+            top[s, c] = value ^ ((value >> 15) & 0x7FFF)
+            rows[s, c] = row
+        for e in range(first + 1, last):
+            row = indices[e] if gathered else e
+            r = np.int32(row)
+            for c in range(channels):
+                value = values[row, c]
+                key = np.int16(value ^ ((value >> 15) & 0x7FFF))
+                larger = key > top[s, c]
+                top[s, c] = key if larger else top[s, c]
+                rows[s, c] = r if larger else rows[s, c]
+        for c in range(channels):
+            key = top[s, c]
+            top[s, c] = key ^ ((key >> 15) & 0x7FFF)
+
+
+@compiled
+def _copy_back(grad, rows, begin, end, total):  # type: ignore[no-untyped-def]
+    for s in range(begin, end):
+        if rows[s, 0] >= 0:
+            for c in range(grad.shape[1]):
+                total[rows[s, c], c] = grad[s, c]
+
+
+@compiled
+def _add_back(grad, rows, low, high, total):  # type: ignore[no-untyped-def]
+    for s in range(len(rows)):
+        if rows[s, 0] >= 0:
+            for c in range(low, high):
+                total[rows[s, c], c] += grad[s, c]
