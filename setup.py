@@ -53,8 +53,8 @@ EXTRAS = {
     "dev": ["colcon-common-extensions", "matplotlib>=3.6", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
     # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.
     "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
-    # Reading data sets into torch.
-    "train": ["torch>=2.4"],
+    # The networks and their training. fpsample's later releases have no wheels for some Pythons.
+    "train": ["fpsample==0.3.3", "safetensors>=0.5", "torch>=2.4"],
     # Building regnet_msgs against those wheels, with a C++ compiler and make from the system.
     "msgs": [
         "catkin_pkg",

@@ -1,0 +1,1 @@
+"""REGNet V2: the network, its coders, matching and losses. Needs torch."""

@@ -1,0 +1,104 @@
+"""The layer that the whole network is made of: linear, batch normalisation, rectifier.
+
+In evaluation batch normalisation is folded into the linear part. Callers that compute W x in parts
+(set_abstraction.py, propagation.py, refinement.py) take W and the bias from ``linear_part`` and hand the sum to
+``finish``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple, cast
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+TILE = 8192
+"""Rows that go through the layers together when nothing is kept for gradients: what they become stays in the
+processor's cache, and in memory that need not be asked for anew."""
+
+
+def in_one_go(rows: int) -> bool:
+    """Whether so many rows should go through the layers together."""
+    return torch.is_grad_enabled() or rows <= TILE
+
+
+class LinearPart(NamedTuple):
+    """What the rows of a layer are multiplied with, before ``finish``."""
+
+    weight: torch.Tensor
+    """(C_out, C_in)."""
+    bias: torch.Tensor | None
+    """(C_out,); None in training."""
+
+
+class DenseLayer(nn.Module):
+    """A linear layer without bias, batch normalisation over the rows, and a rectifier: (n, C_in) -> (n, C_out)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, outputs, bias=False)
+        self.norm = nn.BatchNorm1d(outputs)
+        nn.init.kaiming_normal_(self.linear.weight, nonlinearity="relu")
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return self.finish(functional.linear(rows, *self.linear_part()))
+
+    def linear_part(self) -> LinearPart:
+        """W in training; in evaluation W and a bias that hold the normalisation too."""
+        if self.training:
+            return LinearPart(self.linear.weight, None)
+        norm = self.norm
+        mean, variance = norm.running_mean, norm.running_var
+        assert mean is not None and variance is not None  # the layer keeps statistics
+        scale = norm.weight * torch.rsqrt(variance + norm.eps)
+        return LinearPart(self.linear.weight * scale[:, None], norm.bias - mean * scale)
+
+    def finish(self, product: torch.Tensor) -> torch.Tensor:
+        """The output, given what the linear part gives, which is overwritten."""
+        if self.training:
+            product = self._normalised(product)
+        return functional.relu(product, inplace=True)
+
+    def _normalised(self, product: torch.Tensor) -> torch.Tensor:
+        if len(product) > 1:
+            return cast(torch.Tensor, self.norm(product))
+        # One row has no variance to normalise with, and would spoil the running statistics.
+        norm = self.norm
+        return functional.batch_norm(product, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps)
+
+
+class Mlp(nn.ModuleList):
+    """Dense layers one after the other, shared by all rows: (n, C_in) -> (n, C_out)."""
+
+    def __init__(self, inputs: int, channels: Sequence[int]) -> None:
+        sizes = (inputs, *channels)
+        super().__init__(DenseLayer(a, b) for a, b in pairwise(sizes))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        if not in_one_go(len(rows)):
+            return torch.cat([self.forward(part) for part in rows.split(TILE)])
+        return self.finish(functional.linear(rows, *self.linear_part()))
+
+    def linear_part(self) -> LinearPart:
+        """That of the first layer."""
+        return cast(DenseLayer, self[0]).linear_part()
+
+    def finish(self, product: torch.Tensor) -> torch.Tensor:
+        """The output, given what the first layer's linear part gives, which is overwritten."""
+        if not in_one_go(len(product)):
+            return torch.cat([self.finish(part) for part in product.split(TILE)])
+        rows = cast(DenseLayer, self[0]).finish(product)
+        for layer in list(self)[1:]:
+            rows = layer(rows)
+        return rows
+
+
+def output_layer(inputs: int, outputs: int, bias: float = 0.0) -> nn.Linear:
+    """A last layer that gives about ``bias`` before it is trained."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.normal_(layer.weight, std=0.01)
+    nn.init.constant_(layer.bias, bias)
+    return layer

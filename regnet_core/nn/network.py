@@ -1,0 +1,91 @@
+"""The three stages of REGNet V2 put together: Score Network, Grasp Region Network, Refine Network."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from regnet_core.errors import ModelError
+from regnet_core.gripper import Gripper
+from regnet_core.nn.anchors import GraspCoder, Pose
+from regnet_core.nn.backbone import Backbone
+from regnet_core.nn.clouds import Clouds
+from regnet_core.nn.config import NetworkConfig
+from regnet_core.nn.heads import GraspHead, ScoreHead
+from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
+from regnet_core.nn.refinement import RefineNetwork
+from regnet_core.nn.regions import pool_regions, regions_at, select_regions
+from regnet_core.nn.results import Candidates, Output, Proposed, Refined, StagePrediction
+
+
+class RegNet(nn.Module):
+    """REGNet V2 or one of its variants."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.coder = GraspCoder(config.coder)
+        self.backbone = Backbone(config)
+        self.score = ScoreHead(config)
+        self.grasp = GraspHead(config)
+        self.refinement = None if config.refinement is None else RefineNetwork(config, config.refinement)
+
+    def forward(self, clouds: Clouds, gripper: Gripper | None = None, hierarchy: Hierarchy | None = None) -> Output:
+        """All stages, refining the best anchor of every region.
+
+        Args:
+            clouds: B clouds; the grippers' widths come with them.
+            gripper: depth and height of the hand; ``Gripper()`` when not given.
+            hierarchy: of the clouds, where it was made ahead.
+        """
+        proposed = self.propose(clouds, hierarchy)
+        candidates = self.best_anchors(proposed)
+        refined = None if self.refinement is None else self.refine(candidates, proposed, clouds, gripper)
+        return Output(proposed, candidates, refined)
+
+    def propose(
+        self, clouds: Clouds, hierarchy: Hierarchy | None = None, positives: torch.Tensor | None = None
+    ) -> Proposed:
+        """The first two stages.
+
+        Args:
+            clouds: B clouds.
+            hierarchy: of the clouds, where it was made ahead.
+            positives: (R,) rows of the clouds' points, in the order of the clouds, to take instead of the most
+                confident ones: for training.
+        """
+        cfg, hierarchy = self.config, hierarchy or build_hierarchy(clouds, self.config)
+        features = self.backbone(clouds, hierarchy)
+        confidence = self.score(features)
+        if positives is None:
+            regions = select_regions(confidence, clouds, hierarchy, cfg.layer, cfg.positives)
+        else:
+            regions = regions_at(positives, clouds)
+        pooled = pool_regions(features, regions, clouds, hierarchy, cfg.region)
+        anchors: StagePrediction = self.grasp(pooled, self.score.mlp)
+        return Proposed(hierarchy, features, confidence, regions, pooled, anchors)
+
+    @torch.no_grad()
+    def best_anchors(self, proposed: Proposed) -> Candidates:
+        """The proposal (R,) of each region's most likely anchor."""
+        best = proposed.anchors.logit.argmax(dim=1)
+        region = torch.arange(len(best), device=best.device)
+        residual = proposed.anchors.residual[region, best]
+        return Candidates(self.coder.decode(proposed.regions.points, best, residual), region)
+
+    def refine(
+        self, candidates: Candidates, proposed: Proposed, clouds: Clouds, gripper: Gripper | None = None
+    ) -> Refined:
+        """The third stage, for any proposals, which must come in the order of their clouds.
+
+        Raises:
+            ModelError: the network has none.
+        """
+        if self.refinement is None:
+            raise ModelError(f"the network '{self.config.name}' has no refinement")
+        pose = Pose(candidates.pose.rotation.float(), candidates.pose.translation.float())
+        refined: Refined = self.refinement(
+            candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.features,
+            clouds, proposed.hierarchy, gripper or Gripper(),
+        )  # fmt: skip
+        return refined

@@ -1,0 +1,38 @@
+"""Feature propagation (PointNet++, section 3.4): features of centroids carried back to the points below.
+
+The first layer is linear and so is interpolation: W [interpolated f, s] = interpolated (W_f f) + W_s s. The first part
+is computed at the few centroids instead of the many points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from regnet_core.nn.layers import Mlp
+from regnet_core.ops.interpolation import Interpolation, interpolate
+
+
+class FeaturePropagation(nn.Module):
+    """Features of points from those of the centroids near them and their own."""
+
+    def __init__(self, inputs: int, skipped: int, channels: Sequence[int]) -> None:
+        super().__init__()
+        self.inputs = inputs
+        self.mlp = Mlp(inputs + skipped, channels)
+
+    def forward(self, features: torch.Tensor, how: Interpolation, skip: torch.Tensor) -> torch.Tensor:
+        """Args:
+            features: (C, inputs) of the centroids.
+            how: from the centroids to the points.
+            skip: (N, skipped), the points' own features.
+
+        Returns:
+            (N, C_out).
+        """
+        weight, bias = self.mlp.linear_part()
+        carried = interpolate(functional.linear(features, weight[:, : self.inputs]), how)
+        return self.mlp.finish(carried + functional.linear(skip, weight[:, self.inputs :], bias))

@@ -1,0 +1,137 @@
+"""The Refine Network: proposals made better by a look at what is between their fingers.
+
+The points of the closing area, moved into the grasp frame, go through a shared MLP, their maximum joins the features of
+the region that the proposal comes from, and one linear layer says what to change. The published code keeps its points
+in slots and mixes the slots with learnt weights, which depends on the order of the points; a maximum does not, and
+needs no padding.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from regnet_core.gripper import Gripper
+from regnet_core.nn.anchors import RESIDUALS, Pose
+from regnet_core.nn.clouds import Clouds, width_feature
+from regnet_core.nn.config import NetworkConfig, RefinementConfig
+from regnet_core.nn.heads import RARE
+from regnet_core.nn.hierarchy import Hierarchy
+from regnet_core.nn.layers import TILE, Mlp, in_one_go, output_layer
+from regnet_core.nn.results import Candidates, Refined, Regions, StagePrediction
+from regnet_core.ops.box_query import Boxes, box_query
+from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
+from regnet_core.ops.segments import segment_max
+
+_UNIT = 0.03
+"""Unit of positions in the closing area [m]: half the depth of the paper's gripper."""
+
+
+class RefineNetwork(nn.Module):
+    """Residuals, class and quality of proposals."""
+
+    def __init__(self, config: NetworkConfig, refinement: RefinementConfig) -> None:
+        super().__init__()
+        self.config, self.refinement = config, refinement
+        self.own_channels = 3 + config.point_channels
+        carried = config.features if refinement.point_features else 0
+        self.mlp = Mlp(self.own_channels + carried, refinement.channels)
+        last = refinement.channels[-1] + config.features
+        self.fusion = Mlp(last, refinement.fusion) if refinement.fusion else nn.Identity()
+        last = refinement.fusion[-1] if refinement.fusion else last
+        self.class_output = output_layer(last, 1, RARE)
+        self.residual_output = output_layer(last, RESIDUALS + 1)
+
+    def forward(
+        self,
+        candidates: Candidates,
+        regions: Regions,
+        region_features: torch.Tensor,
+        features: torch.Tensor,
+        clouds: Clouds,
+        hierarchy: Hierarchy,
+        gripper: Gripper,
+    ) -> Refined:
+        """Args:
+        candidates: G proposals, in the order of their clouds.
+        regions: R regions.
+        region_features: (R, C).
+        features: (N, C) of all points.
+        clouds: the points and the grippers' widths.
+        hierarchy: of the clouds.
+        gripper: depth and height of the hand; its width is the clouds'.
+        """
+        cloud = regions.cloud[candidates.region]
+        near = closing_points(candidates.pose, cloud, clouds, hierarchy, gripper, self.refinement)
+        seen = self._seen(candidates.pose, cloud, near, features, clouds)
+        both = self.fusion(torch.cat([seen, region_features.index_select(0, candidates.region).to(seen.dtype)], dim=1))
+        numbers = self.residual_output(both).float()
+        logit = self.class_output(both).float().squeeze(1)
+        prediction = StagePrediction(logit, numbers[:, :RESIDUALS], numbers[:, RESIDUALS])
+        return Refined(prediction, near.counts > 0)
+
+    def _seen(
+        self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, features: torch.Tensor, clouds: Clouds
+    ) -> torch.Tensor:
+        """(G, C): the maximum over the points of each closing area."""
+        weight, bias = self.mlp.linear_part()
+        once = None
+        if self.refinement.point_features:
+            once = functional.linear(features, weight[:, self.own_channels :], bias)
+
+        def pooled(some: slice, near: Neighbourhoods) -> torch.Tensor:
+            own = self._own_features(Pose(*(value[some] for value in pose)), cloud[some], near, clouds)
+            if once is None:
+                product = functional.linear(own, weight, bias)
+            else:
+                product = torch.addmm(once.index_select(0, near.indices), own, weight[:, : self.own_channels].t())
+            return segment_max(self.mlp.finish(product), near.offsets)
+
+        if in_one_go(len(near.indices)):
+            return pooled(slice(None), near)
+        return torch.cat([pooled(*tile) for tile in near.tiles(TILE)])
+
+    def _own_features(self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, clouds: Clouds) -> torch.Tensor:
+        """(E, 3 + C): positions in the grasp frame, the width, and the colours."""
+        proposal = near.centres()
+        offset = clouds.points.index_select(0, near.indices) - pose.translation.detach().index_select(0, proposal)
+        # Not a matrix product, which autocast would compute in bfloat16.
+        local = (pose.rotation.detach().index_select(0, proposal) * offset[:, :, None]).sum(dim=1) / _UNIT
+        parts = [local]
+        if self.config.width:
+            parts.append(width_feature(clouds.width)[cloud[proposal], None])
+        if self.config.colour and clouds.colors is not None:
+            parts.append(clouds.colors.index_select(0, near.indices) * 2.0 - 1.0)
+        return torch.cat(parts, dim=1)
+
+
+@torch.no_grad()
+def closing_points(
+    pose: Pose,
+    cloud: torch.Tensor,
+    clouds: Clouds,
+    hierarchy: Hierarchy,
+    gripper: Gripper,
+    config: RefinementConfig,
+) -> Neighbourhoods:
+    """The points in the closing areas of G proposals, 0 < x < D, |y| < W/2, |z| < H/2, as rows of the clouds' points.
+
+    Args:
+        pose: (G, 3, 3) and (G, 3) [m].
+        cloud: (G,), ascending.
+        clouds: the points and W.
+        hierarchy: of the clouds.
+        gripper: D and H.
+        config: the most points, and a margin around the area.
+    """
+    half_w = clouds.width[cloud] / 2
+    zero, one = torch.zeros_like(half_w), torch.ones_like(half_w)
+    upper = torch.stack([one * gripper.depth, half_w, one * gripper.height / 2], dim=1) + config.margin
+    lower = torch.stack([zero, -half_w, -one * gripper.height / 2], dim=1) - config.margin
+    bounds = torch.searchsorted(cloud, torch.arange(len(clouds.width) + 1, device=cloud.device)).tolist()
+    boxes, parts = Boxes(pose.rotation, pose.translation, lower, upper), []
+    for i, own in enumerate(clouds.slices()):
+        some = boxes.take(slice(bounds[i], bounds[i + 1]))
+        parts.append(box_query(clouds.points[own], some, config.points, hierarchy.grids[i]))
+    return joined(parts, [own.start for own in clouds.slices()])

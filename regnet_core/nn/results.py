@@ -1,0 +1,77 @@
+"""What the stages of the network give."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+
+from regnet_core.nn.anchors import Pose
+from regnet_core.nn.hierarchy import Hierarchy
+
+
+class StagePrediction(NamedTuple):
+    """What the second stage says of the M anchors of R regions (R, M), or the third of G proposals (G,); float32."""
+
+    logit: torch.Tensor
+    """(...,): of being a grasp."""
+    residual: torch.Tensor
+    """(..., 8): as the coders of anchors.py take them."""
+    quality: torch.Tensor
+    """(...,): logit of s_q."""
+
+
+class Regions(NamedTuple):
+    """The grasp regions of B clouds, most confident first within each cloud."""
+
+    source: torch.Tensor
+    """(R,) int64: rows of their positive points among the clouds' points."""
+    points: torch.Tensor
+    """(R, 3): where these are [m]."""
+    cloud: torch.Tensor
+    """(R,) int64: the cloud that each belongs to."""
+    offsets: torch.Tensor
+    """(B + 1,) int64: where each cloud's begin."""
+
+
+class Proposed(NamedTuple):
+    """The first two stages' results."""
+
+    hierarchy: Hierarchy
+    features: torch.Tensor
+    """(N, C): of all points, from the backbone."""
+    confidence: torch.Tensor
+    """(N,) float32: logit of the point grasp confidence, eq. (1)."""
+    regions: Regions
+    region_features: torch.Tensor
+    """(R, C)."""
+    anchors: StagePrediction
+    """(R, M)."""
+
+
+class Candidates(NamedTuple):
+    """G proposals on their way to the Refine Network."""
+
+    pose: Pose
+    """(G, 3, 3) and (G, 3) [m]."""
+    region: torch.Tensor
+    """(G,) int64: the region that each comes from."""
+
+
+class Refined(NamedTuple):
+    """The third stage's results for G proposals."""
+
+    prediction: StagePrediction
+    """(G,); residuals as ``RefineCoder`` takes them."""
+    occupied: torch.Tensor
+    """(G,) bool: whether there is any point in the closing area. Where there is none the prediction means nothing."""
+
+
+class Output(NamedTuple):
+    """What a whole forward pass gives."""
+
+    proposed: Proposed
+    candidates: Candidates
+    """The best anchor's proposal of every region."""
+    refined: Refined | None
+    """None where the network has no third stage."""
