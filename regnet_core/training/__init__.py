@@ -1,0 +1,1 @@
+"""Training of the networks on data sets made by ``regnet generate``."""

@@ -1,0 +1,105 @@
+"""A training run in small: it learns, goes on after an interruption as if there had been none, and is judged."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from regnet_core.cli import main
+from regnet_core.data.generation.run import generate
+from regnet_core.data.generation.settings import GenerationSettings
+from regnet_core.data.labels.candidates import CandidateConfig
+from regnet_core.errors import InvalidInputError
+from regnet_core.training.recipe import Recipe
+from regnet_core.training.trainer import Run, Trainer
+
+RECIPE = Recipe(steps=6, batch=2, points=1500, regions=24, learning_rate=3e-3)
+
+
+class Here:
+    """Runs everything in this process."""
+
+    local = True
+
+    def run(self, function: Any, shared: Any, items: Any) -> Iterator[tuple[Any, Any]]:
+        return ((item, function(shared, item)) for item in items)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "train"
+    settings = GenerationSettings(
+        seed=5, scenes=3, kinds=(("packed", 1.0),), objects=4, dome_views=1, candidates=CandidateConfig(points=120)
+    )
+    generate(folder, settings, Here())
+    return folder
+
+
+def _trainer(data: Path, out: Path, recipe: Recipe = RECIPE, **values: Any) -> Trainer:
+    return Trainer(Run("regnetv2-s", data, out, workers=0, **values), recipe)
+
+
+def test_a_continued_run_ends_as_an_undisturbed_one(data: Path, tmp_path: Path) -> None:
+    whole = _trainer(data, tmp_path / "whole")
+    whole.train()
+    first = _trainer(data, tmp_path / "parts", stop_after=0.0)
+    for _ in range(RECIPE.steps):
+        first.train()  # a step at a time
+        again = _trainer(data, tmp_path / "parts", stop_after=0.0)
+        again.resume()
+        assert again.step == first.step
+        first = again
+    assert whole.step == first.step == RECIPE.steps
+    for name, value in whole.network.state_dict().items():
+        torch.testing.assert_close(first.network.state_dict()[name], value, msg=name)
+
+
+def test_the_loss_falls_on_a_few_views(data: Path, tmp_path: Path) -> None:
+    recipe = dataclasses.replace(RECIPE, steps=24)
+    totals: list[float] = []
+    trainer = _trainer(data, tmp_path, recipe)
+    trainer.report = lambda step, values: totals.append(values["total"])
+    trainer.train()
+    assert len(totals) == 24
+    assert sum(totals[-6:]) < 0.8 * sum(totals[:6])
+
+
+def test_the_metrics_of_a_network_can_be_computed(data: Path, tmp_path: Path) -> None:
+    trainer = _trainer(data, tmp_path, validation=data, validation_samples=2)
+    metrics = trainer.validate()
+    assert metrics.scenes == 2
+    assert trainer.network.training
+
+
+def test_the_checkpoint_of_another_run_is_refused(data: Path, tmp_path: Path) -> None:
+    _trainer(data, tmp_path, dataclasses.replace(RECIPE, steps=1)).train()
+    with pytest.raises(InvalidInputError, match="is of another run"):
+        _trainer(data, tmp_path, dataclasses.replace(RECIPE, steps=1, seed=1)).resume()
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"\x80\x04K\x01.")
+    with pytest.raises(InvalidInputError, match="is no checkpoint of a training run"):
+        _trainer(data, tmp_path).resume()
+
+
+def test_the_command_trains_logs_and_resumes(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["train", "--config", "regnetv2-s", "--data", str(data), "--out", str(tmp_path), "--workers", "0"]
+    command += ["--steps", "2", "--batch", "1", "--points", "1000", "--device", "cpu", "-q"]
+    assert main(command) == 0
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [1, 2] and lines[0]["grasp/quality"] >= 0.0
+    assert main(command) == 2
+    assert "give --resume to go on" in capsys.readouterr().err
+    assert main([*command, "--resume"]) == 0
+    assert main([*command[:2], "regnetv9", *command[3:], "--resume"]) == 2
+    assert "no network 'regnetv9'" in capsys.readouterr().err
+
+
+def test_a_recipe_comes_back_from_json() -> None:
+    assert Recipe.from_dict(json.loads(json.dumps(RECIPE.to_dict()))) == RECIPE
+    with pytest.raises(InvalidInputError, match="this is no recipe"):
+        Recipe.from_dict({"epochs": 3})
+    with pytest.raises(InvalidInputError, match="schedule must be"):
+        Recipe(schedule="steps")  # type: ignore[arg-type]
