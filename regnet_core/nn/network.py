@@ -30,21 +30,32 @@ class RegNet(nn.Module):
         self.grasp = GraspHead(config)
         self.refinement = None if config.refinement is None else RefineNetwork(config, config.refinement)
 
-    def forward(self, clouds: Clouds, gripper: Gripper | None = None, hierarchy: Hierarchy | None = None) -> Output:
+    def forward(
+        self,
+        clouds: Clouds,
+        gripper: Gripper | None = None,
+        hierarchy: Hierarchy | None = None,
+        eligible: torch.Tensor | None = None,
+    ) -> Output:
         """All stages, refining the best anchor of every region.
 
         Args:
             clouds: B clouds; the grippers' widths come with them.
             gripper: depth and height of the hand; ``Gripper()`` when not given.
             hierarchy: of the clouds, where it was made ahead.
+            eligible: (N,) which points may become positive; all of them when None.
         """
-        proposed = self.propose(clouds, hierarchy)
+        proposed = self.propose(clouds, hierarchy, eligible=eligible)
         candidates = self.best_anchors(proposed)
         refined = None if self.refinement is None else self.refine(candidates, proposed, clouds, gripper)
         return Output(proposed, candidates, refined)
 
     def propose(
-        self, clouds: Clouds, hierarchy: Hierarchy | None = None, positives: torch.Tensor | None = None
+        self,
+        clouds: Clouds,
+        hierarchy: Hierarchy | None = None,
+        positives: torch.Tensor | None = None,
+        eligible: torch.Tensor | None = None,
     ) -> Proposed:
         """The first two stages.
 
@@ -53,12 +64,13 @@ class RegNet(nn.Module):
             hierarchy: of the clouds, where it was made ahead.
             positives: (R,) rows of the clouds' points, in the order of the clouds, to take instead of the most
                 confident ones: for training.
+            eligible: (N,) which points may be among the most confident ones; all of them when None.
         """
         cfg, hierarchy = self.config, hierarchy or build_hierarchy(clouds, self.config)
         features = self.backbone(clouds, hierarchy)
         confidence = self.score(features)
         if positives is None:
-            regions = select_regions(confidence, clouds, hierarchy, cfg.layer, cfg.positives)
+            regions = select_regions(confidence, clouds, hierarchy, cfg.layer, cfg.positives, eligible)
         else:
             regions = regions_at(positives, clouds)
         pooled = pool_regions(features, regions, clouds, hierarchy, cfg.region)

@@ -14,7 +14,12 @@ from regnet_core.ops.segments import neighbour_max
 
 
 def select_regions(
-    confidence: torch.Tensor, clouds: Clouds, hierarchy: Hierarchy, layer: int, positives: int
+    confidence: torch.Tensor,
+    clouds: Clouds,
+    hierarchy: Hierarchy,
+    layer: int,
+    positives: int,
+    eligible: torch.Tensor | None = None,
 ) -> Regions:
     """The most confident points of each cloud.
 
@@ -24,6 +29,7 @@ def select_regions(
         hierarchy: of the clouds.
         layer: 1 chooses among all points, 2 among the centroids of the first level, and so on.
         positives: k1, how many of each cloud at most.
+        eligible: (N,) which points may be chosen; all of them when None.
     """
     confidence = confidence.detach()
     chosen = []
@@ -33,6 +39,8 @@ def select_regions(
         else:
             level = hierarchy.levels[layer - 2]
             rows = level.source[level.slices()[i]]
+        if eligible is not None:
+            rows = rows[eligible[rows]]
         best = confidence[rows].sort(descending=True, stable=True).indices[:positives]
         chosen.append(rows[best])
     return regions_at(torch.cat(chosen), clouds)

@@ -17,16 +17,19 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from regnet_core.data.dataset import GraspBatch, GraspDataset, GraspSample, collate
 from regnet_core.errors import InvalidInputError
 from regnet_core.evaluation.metrics import MeanMetrics, mean_metrics
+from regnet_core.nn.files import save_network
 from regnet_core.nn.network import RegNet
+from regnet_core.nn.precision import autocast
 from regnet_core.nn.zoo import network_config
 from regnet_core.training.augmentation import AugmentedDataset
 from regnet_core.training.checkpoint import load_checkpoint, restore_optimiser, save_checkpoint
-from regnet_core.training.precision import autocast
 from regnet_core.training.recipe import Recipe
 from regnet_core.training.step import batch_losses
 from regnet_core.training.validation import validate
 
 CHECKPOINT = "checkpoint.safetensors"
+WEIGHTS = "weights.safetensors"
+"""The network alone, in half precision: what detectors load."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,7 @@ class Trainer:
             if now - began > self.run.stop_after:
                 break
         self.save()
+        save_network(self.run.out / WEIGHTS, self.network, {"step": self.step, **self._identity()})
 
     def validate(self) -> MeanMetrics:
         """The metrics on samples spread over the validation data.

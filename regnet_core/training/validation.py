@@ -17,7 +17,7 @@ from regnet_core.gripper import Gripper
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
-from regnet_core.training.precision import autocast
+from regnet_core.nn.precision import autocast
 
 
 @torch.no_grad()

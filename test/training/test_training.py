@@ -14,6 +14,7 @@ from regnet_core.data.generation.run import generate
 from regnet_core.data.generation.settings import GenerationSettings
 from regnet_core.data.labels.candidates import CandidateConfig
 from regnet_core.errors import InvalidInputError
+from regnet_core.nn.files import load_network
 from regnet_core.training.recipe import Recipe
 from regnet_core.training.trainer import Run, Trainer
 
@@ -90,6 +91,7 @@ def test_the_command_trains_logs_and_resumes(data: Path, tmp_path: Path, capsys:
     assert main(command) == 0
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [1, 2] and lines[0]["grasp/quality"] >= 0.0
+    assert load_network(tmp_path / "weights.safetensors")[1]["step"] == 2
     assert main(command) == 2
     assert "give --resume to go on" in capsys.readouterr().err
     assert main([*command, "--resume"]) == 0

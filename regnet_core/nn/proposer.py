@@ -1,0 +1,72 @@
+"""The network as a method of ``GraspDetector``: the prepared scene in, the grasps of its positive points out."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from regnet_core.geometry import Array, Box, Mask
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+from regnet_core.nn.clouds import Clouds
+from regnet_core.nn.decoding import decode
+from regnet_core.nn.network import RegNet
+from regnet_core.nn.precision import autocast
+from regnet_core.pointcloud import random_sample
+from regnet_core.proposer import Proposals
+from regnet_core.scene import Scene
+
+AROUND = 0.10
+"""What lies so near to the objects' bounding box is shown to the network, the table first of all [m]."""
+_SAME = 0.004
+"""A point this near to the surface of an object belongs to it [m]."""
+
+
+class NetworkProposer:
+    """REGNet V2, or any variant of it."""
+
+    def __init__(self, network: RegNet, device: str = "cpu") -> None:
+        """Args:
+        network: trained; it is put in evaluation mode.
+        device: where it runs.
+        """
+        self.device = torch.device(device)
+        self.network = network.to(self.device).eval()
+        self.name = network.config.name
+
+    @torch.inference_mode()
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+        """The refined grasps of the most confident points that are in focus."""
+        seen = focus & scene.objects.observed
+        if not seen.any():
+            return Proposals(Grasps.empty(), 0)
+        rows = _around(scene.points, scene.objects.points[scene.objects.observed])
+        rows = rows[random_sample(len(rows), self.network.config.points, rng)]
+        eligible = _near(scene.points[rows], scene.objects.points[seen])
+        if not eligible.any():
+            return Proposals(Grasps.empty(), 0)
+        clouds = self._clouds(scene, rows, gripper)
+        mask = torch.from_numpy(eligible).to(self.device)
+        with autocast(self.device):
+            output = self.network(clouds, gripper, eligible=mask)
+        return Proposals(decode(self.network, output, clouds)[0], len(output.candidates.region))
+
+    def _clouds(self, scene: Scene, rows: np.ndarray, gripper: Gripper) -> Clouds:
+        points = torch.from_numpy(scene.points[rows]).float().to(self.device)
+        colors = None
+        if self.network.config.colour and scene.colors is not None:
+            colors = [torch.from_numpy(scene.colors[rows]).float().to(self.device)]
+        return Clouds.of([points], [gripper.width], colors)
+
+
+def _around(points: Array, objects: Array) -> np.ndarray:
+    """Rows of the points in and near the bounding box of the objects."""
+    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
+    return np.flatnonzero(Box(tuple(lower.tolist()), tuple(upper.tolist())).contains(points))
+
+
+def _near(points: Array, surface: Array) -> Mask:
+    """Which points (N, 3) belong to a surface given by points (S, 3)."""
+    distance, _ = cKDTree(surface).query(points, distance_upper_bound=_SAME)
+    return np.isfinite(distance)
