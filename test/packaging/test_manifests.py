@@ -110,13 +110,25 @@ def test_core_imports_no_ros() -> None:
 
 
 def test_every_python_package_that_is_imported_is_declared() -> None:
-    data_only = sources("regnet_core/data", "regnet_core/evaluation")
-    always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only]
+    learning = sources("regnet_core/nn", "regnet_core/training") + [
+        ROOT / "regnet_core" / name
+        for name in (
+            "cli/train.py",
+            "data/dataset.py",
+            *(f"ops/{op}.py" for op in ("ball_query", "box_query", "farthest_points", "interpolation")),
+            "ops/neighbourhoods.py",
+            "ops/segments.py",
+        )
+    ]
+    data_only = sources("regnet_core/data", "regnet_core/evaluation", "regnet_core/sim")
+    always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only + learning]
     data = requirements(None) | requirements("data")
+    train, everything = requirements("train"), data | requirements("dev") | requirements("cluster")
     for files, declared, packages in (
         (always, requirements(None), ros_dependencies()),
-        (data_only, data, set()),
-        (sources("tools", "test"), data | requirements("dev"), ros_dependencies("test_depend")),
+        ([path for path in data_only if path not in learning], data | requirements("cluster"), set()),
+        (learning, data | train, set()),
+        (sources("tools", "test"), everything | train, ros_dependencies("test_depend")),
     ):
         known = {path.stem for path in files} | packages | {ROS_MODULES.get(name, name) for name in packages}
         for name, path in third_party(files).items():
