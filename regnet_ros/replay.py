@@ -28,8 +28,12 @@ _NAP = 0.05
 """Longest sleep [s]: a signal is noticed so soon."""
 _SHORTEST_LOOP = 1.0
 """A bag of a single message is played again after so long, at the recorded speed [s]."""
-_PATIENCE = 2.0
-"""How long to wait for subscribers unless told otherwise [s]; what is published before they are found is lost."""
+_PATIENCE = 6.0
+"""How long to wait for subscribers unless told otherwise [s]; what is published before they are found is lost.
+
+Fast DDS announces a new participant at once and then every 3 s: where the first announcements are lost, discovery takes
+that long.
+"""
 _HANDSHAKE = 0.2
 """How long a subscriber that was found may need to find the publisher [s]."""
 _LAST_WORDS = 5.0
