@@ -30,7 +30,8 @@ def decode(network: RegNet, output: Output, clouds: Clouds) -> list[Grasps]:
             Grasps.from_poses(
                 _numpy(pose.rotation[rows]),
                 _numpy(pose.translation[rows]),
-                np.full(len(rows), width),
+                # In single precision 0.1 m is a little more than 0.1 m, more than the gripper opens.
+                np.full(len(rows), round(width, 6)),
                 _numpy(quality[rows]),
                 _numpy(confidence[rows]),
             )

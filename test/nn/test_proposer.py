@@ -55,6 +55,14 @@ def test_the_same_seed_gives_the_same_grasps(network: RegNet, scene: Scene) -> N
     np.testing.assert_array_equal(first.quality, again.quality)
 
 
+@pytest.mark.parametrize("width", [0.03, 0.06, 0.1, 0.12, 0.16])
+def test_the_jaw_is_never_opened_wider_than_the_gripper_can(network: RegNet, scene: Scene, width: float) -> None:
+    gripper, focus = Gripper(width=width), np.ones(len(scene.objects.points), bool)
+    grasps = NetworkProposer(network).propose(scene, gripper, focus, np.random.default_rng(0)).grasps
+    np.testing.assert_array_equal(grasps.width, width)
+    gripper.bodies(float(grasps.width[0]))
+
+
 def test_only_what_is_in_focus_becomes_positive(network: RegNet, scene: Scene) -> None:
     right = scene.objects.points[:, 0] > 0.0
     every, some = _propose(network, scene), _propose(network, scene, right)
