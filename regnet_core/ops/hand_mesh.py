@@ -193,34 +193,40 @@ def _meet(  # type: ignore[no-untyped-def]
         spans[m, 0], spans[m, 1], spans[m, 2], spans[m, 3] = y_high, y_low, x_axis, x_near
         if hit or between == 0:
             continue
+        low[0], high[0], low[2], high[2] = 0.0, depth, -half_z, half_z
         for side in range(2):
-            low[0], high[0], low[2], high[2] = 0.0, depth, -half_z, half_z
-            if side == 0:
-                low[1], high[1] = y_high - CONTACT_DEPTH, y_high + CONTACT_DEPTH
-            else:
-                low[1], high[1] = y_low - CONTACT_DEPTH, y_low + CONTACT_DEPTH
+            touched = y_high if side == 0 else y_low
+            low[1], high[1] = touched - CONTACT_DEPTH, touched + CONTACT_DEPTH
             sign = 1.0 - 2.0 * side
-            nx, ny, nz = 0.0, 0.0, 0.0
-            for k in range(between):
-                t = kept[k]
-                towards = normals[t, 0] * pose[0, 1] + normals[t, 1] * pose[1, 1] + normals[t, 2] * pose[2, 1]
-                towards *= sign
-                if towards <= 0.0:
-                    continue
-                _into_frame(corners, t, pose, c, triangle)
-                if _apart(triangle, low, high):
-                    continue
-                corner_count = _clip(triangle, low, high, polygon, spare)
-                if corner_count < 3:
-                    continue
-                # Weighted by the area that the pad sees. The tiny floor lets an edge or a corner count for itself.
-                weight = _seen_area(polygon, corner_count) + 1e-12 * towards
-                nx, ny, nz = nx + weight * normals[t, 0], ny + weight * normals[t, 1], nz + weight * normals[t, 2]
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if length > 0.0:
-                contact_normals[m, side, 0] = nx / length
-                contact_normals[m, side, 1] = ny / length
-                contact_normals[m, side, 2] = nz / length
+            nx, ny, nz = _mean_normal(
+                corners, normals, kept, between, pose, c, low, high, sign, triangle, polygon, spare
+            )
+            contact_normals[m, side, 0], contact_normals[m, side, 1], contact_normals[m, side, 2] = nx, ny, nz
+
+
+@compiled
+def _mean_normal(corners, normals, kept, count, pose, c, low, high, sign, triangle, polygon, spare):  # type: ignore[no-untyped-def]
+    """Unit mean normal of what lies in the box and faces the finger at sign * Y, as its pad sees it; or zero."""
+    nx, ny, nz = 0.0, 0.0, 0.0
+    for k in range(count):
+        t = kept[k]
+        towards = normals[t, 0] * pose[0, 1] + normals[t, 1] * pose[1, 1] + normals[t, 2] * pose[2, 1]
+        towards *= sign
+        if towards <= 0.0:
+            continue
+        _into_frame(corners, t, pose, c, triangle)
+        if _apart(triangle, low, high):
+            continue
+        corner_count = _clip(triangle, low, high, polygon, spare)
+        if corner_count < 3:
+            continue
+        # Weighted by the area that the pad sees. The tiny floor lets an edge or a corner count for itself.
+        weight = _seen_area(polygon, corner_count) + 1e-12 * towards
+        nx, ny, nz = nx + weight * normals[t, 0], ny + weight * normals[t, 1], nz + weight * normals[t, 2]
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if length > 0.0:
+        nx, ny, nz = nx / length, ny / length, nz / length
+    return nx, ny, nz
 
 
 @inlined

@@ -43,7 +43,9 @@ class Executor(Protocol):
     def run(
         self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
     ) -> Iterator[tuple[Item, Result]]:
-        """Yield (item, function(shared, item)) in any order; a module has ``function``, ``shared`` goes along once.
+        """Yield (item, function(shared, item)) in any order.
+
+        ``function`` belongs to a module that workers can import; ``shared`` is sent to each of them once.
 
         Raises:
             WorkerError: workers die again and again.
