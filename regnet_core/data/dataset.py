@@ -12,12 +12,18 @@ import torch
 from torch.utils.data import Dataset
 
 from regnet_core.checks import check_range
+from regnet_core.data.labels.narrowing import confidence_between, fitting, kept_share
 from regnet_core.data.labels.scene_labels import GraspLabels
 from regnet_core.data.storage.archive import SceneArchive, view_points
 from regnet_core.errors import InvalidInputError
 
 POINTS = 25600
 """N of the paper."""
+AROUND = 0.10
+"""Detectors crop clouds to what lies so near to the objects' bounding box [m]; so do samples."""
+_FIXTURE = -2
+NARROWEST = 0.03
+"""The narrowest gripper that samples are drawn for [m]."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +31,13 @@ class GraspSample:
     """N points of one view, and all labels of its scene for one width; everything in the world frame, z up [m].
 
     Attributes:
-        points: (N, 3) float32, drawn at random from the view.
+        points: (N, 3) float32, drawn at random from the view around the objects.
         colors: (N, 3) float32 in [0, 1].
         confidence: (N,) float32 point grasp confidence, eq. (1).
         object_index: (N,) int64; -1 the table, -2 a fixture.
         width: () float32, the gripper's W.
         viewpoint: (3,) float32, the camera's position.
+        turn: (3, 3) float32, the rotation about ``PIVOT`` that the sample was turned by; the identity unless augmented.
         translation: (M, 3) float32, grasp centres c.
         rotation: (M, 3, 3) float32, columns X, Y, Z in canonical form.
         score: (M,) float32, s_q.
@@ -47,6 +54,7 @@ class GraspSample:
     object_index: torch.Tensor
     width: torch.Tensor
     viewpoint: torch.Tensor
+    turn: torch.Tensor
     translation: torch.Tensor
     rotation: torch.Tensor
     score: torch.Tensor
@@ -71,6 +79,7 @@ class GraspBatch:
     object_index: torch.Tensor
     width: torch.Tensor
     viewpoint: torch.Tensor
+    turn: torch.Tensor
     translation: torch.Tensor
     rotation: torch.Tensor
     score: torch.Tensor
@@ -89,7 +98,9 @@ class GraspBatch:
         return dataclasses.replace(self, **moved)
 
 
-_STACKED = ("points", "colors", "confidence", "object_index", "width", "viewpoint")
+PIVOT = (0.0, 0.0, 0.75)
+"""The middle of the table's top, about which augmentation turns scenes [m]."""
+_STACKED = ("points", "colors", "confidence", "object_index", "width", "viewpoint", "turn")
 _JOINED = ("translation", "rotation", "score", "contacts", "entry_point", "grasp_object")
 
 
@@ -121,6 +132,7 @@ class GraspDataset(Dataset[GraspSample]):
         widths: Sequence[float] | None = None,
         scenes: Sequence[int] | None = None,
         seed: int = 0,
+        between: float = 0.0,
     ) -> None:
         """Args:
             folder: of the data set.
@@ -128,11 +140,13 @@ class GraspDataset(Dataset[GraspSample]):
             widths: those of the data set's widths to use [m]; all of them when None.
             scenes: numbers of the scenes to use; all of them when None.
             seed: of the points that are drawn.
+            between: share of the samples that are for a width between those of the labels, or below the least.
 
         Raises:
             InvalidInputError: no data set, or a width or scene that it does not have.
         """
         check_range("points", points, 1, 10_000_000)
+        check_range("between", between, 0.0, 1.0)
         self.archive = SceneArchive(folder)
         self.points = points
         self._widths = [_index_of(width, self.archive.widths) for width in widths or self.archive.widths]
@@ -144,6 +158,7 @@ class GraspDataset(Dataset[GraspSample]):
             raise InvalidInputError(f"'{folder}' has no finished shard of scenes yet")
         self._views = self.archive.manifest.settings.views
         self._seed = seed
+        self._between = between
         self._epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -165,23 +180,66 @@ class GraspDataset(Dataset[GraspSample]):
         info = self.archive.info(scene)
         seen = info.views[view]
         data = self.archive.view(scene, view)
-        pixels = np.flatnonzero(np.isfinite(data.depth))
-        if len(pixels) == 0:
+        rows, columns = np.nonzero(np.isfinite(data.depth))
+        if len(rows) == 0:
             raise InvalidInputError(f"view {view} of scene {scene} has no points")
-        pixels = rng.choice(pixels, self.points, replace=len(pixels) < self.points)
-        rows, columns = np.divmod(pixels, data.depth.shape[1])
-        labels = self.archive.labels(scene)[w]
+        points = view_points(seen, data, rows, columns)
+        owner = data.object_index[rows, columns].astype(np.int64)
+        drawn = _drawn(_around(points, points[(owner >= 0) | (owner == _FIXTURE)]), self.points, rng)
+        points, rows, columns, owner = points[drawn], rows[drawn], columns[drawn], owner[drawn]
+        confidence = data.confidence[:, rows, columns]
+        width, labels, confidence = self._for_width(
+            w, self.archive.labels(scene)[w], confidence, owner, len(info.objects), rng
+        )
         return GraspSample(
-            points=torch.from_numpy(view_points(seen, data, rows, columns)),
+            points=torch.from_numpy(points),
             colors=torch.from_numpy(data.colours[rows, columns].astype(np.float32) / np.float32(255.0)),
-            confidence=torch.from_numpy(data.confidence[w][rows, columns]),
-            object_index=torch.from_numpy(data.object_index[rows, columns].astype(np.int64)),
-            width=torch.tensor(self.archive.widths[w], dtype=torch.float32),
+            confidence=torch.from_numpy(np.ascontiguousarray(confidence, np.float32)),
+            object_index=torch.from_numpy(owner),
+            width=torch.tensor(width, dtype=torch.float32),
             viewpoint=torch.from_numpy(seen.camera.position.astype(np.float32)),
+            turn=torch.eye(3),
             scene=scene,
             view=view,
             **_grasp_tensors(labels),
         )
+
+    def _for_width(
+        self,
+        w: int,
+        labels: GraspLabels,
+        confidence: np.ndarray,
+        owner: np.ndarray,
+        objects: int,
+        rng: np.random.Generator,
+    ) -> tuple[float, GraspLabels, np.ndarray]:
+        """A width, the grasps it can do, and the confidence (N,), given that for all labelled widths (W, N)."""
+        width = self.archive.widths[w]
+        if rng.random() >= self._between:
+            return width, labels, confidence[w]
+        share = rng.random()
+        if w > 0:
+            width -= share * (width - self.archive.widths[w - 1])
+            return width, labels[fitting(labels, width)], confidence_between(confidence[w], confidence[w - 1], share)
+        width -= share * max(width - NARROWEST, 0.0)
+        kept = fitting(labels, width)
+        of_object = np.append(kept_share(labels, kept, objects), 1.0)
+        return width, labels[kept], confidence[w] * of_object[np.maximum(owner, -1)]
+
+
+def _around(points: np.ndarray, objects: np.ndarray) -> np.ndarray:
+    """Rows of the points (N, 3) in and near the bounding box of the objects' (K, 3); all of them without objects."""
+    if len(objects) == 0:
+        return np.arange(len(points))
+    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
+    return np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
+
+
+def _drawn(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """So many of the rows, each at most once where there are enough, and at least once where there are not."""
+    if len(rows) >= count:
+        return rng.choice(rows, count, replace=False)
+    return np.concatenate([rows, rng.choice(rows, count - len(rows))])
 
 
 def _grasp_tensors(labels: GraspLabels) -> dict[str, torch.Tensor]:

@@ -77,9 +77,14 @@ class RefinementConfig:
     """The area looked at is the closing area grown by this on every side [m]: what the hand may hit comes in sight."""
     point_features: bool = False
     """Whether the points bring the backbone's features with them; otherwise only where they are (and their colours)."""
+    candidates: int = 1
+    """How many anchors of each region are refined, the likeliest ones; the best of them after that is the region's."""
+    passes: int = 1
+    """How often proposals are refined, each time from what the last one made of the region's best."""
 
     def __post_init__(self) -> None:
-        check_range("points", self.points, 1)
+        for name in ("points", "candidates", "passes"):
+            check_range(name, getattr(self, name), 1)
         _check_channels("the channels of the refinement", self.channels)
         if self.fusion:
             _check_channels("fusion", self.fusion)

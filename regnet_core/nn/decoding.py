@@ -6,22 +6,23 @@ import numpy as np
 import torch
 
 from regnet_core.grasps import Grasps
-from regnet_core.nn.anchors import Pose, RefineCoder
+from regnet_core.nn.anchors import Pose
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.network import RegNet
-from regnet_core.nn.results import Output
+from regnet_core.nn.results import Output, best_of_regions, expected_quality
 
 
 @torch.no_grad()
 def decode(network: RegNet, output: Output, clouds: Clouds) -> list[Grasps]:
-    """The grasps of each cloud, best first, the jaw open at W.
+    """The grasp of each region of each cloud, best first, the jaw open at W.
 
-    ``quality`` is the probability of being a grasp times the expected s_q, of the last stage that the network has;
-    ``confidence`` is that of the positive point.
+    ``quality`` is the s_q that is to be expected: where the network learnt from judged proposals, a grasp that hits
+    something counts as 0 in that. ``confidence`` is that of the positive point.
     """
-    pose, quality, usable = _last_stage(network, output)
-    confidence = torch.sigmoid(output.proposed.confidence[output.proposed.regions.source])[output.candidates.region]
-    owner = output.proposed.regions.cloud[output.candidates.region]
+    region, pose, quality, usable = _last_stage(network, output)
+    regions = output.proposed.regions
+    confidence = torch.sigmoid(output.proposed.confidence[regions.source])[region]
+    owner = regions.cloud[region]
     grasps = []
     for cloud, width in enumerate(clouds.width.tolist()):
         rows = ((owner == cloud) & usable).nonzero().squeeze(1)
@@ -39,18 +40,15 @@ def decode(network: RegNet, output: Output, clouds: Clouds) -> list[Grasps]:
     return grasps
 
 
-def _last_stage(network: RegNet, output: Output) -> tuple[Pose, torch.Tensor, torch.Tensor]:
-    """Poses (G,), their quality (G,) in [0, 1], and which of them mean anything (G,)."""
-    candidates = output.candidates
-    if output.refined is not None:
-        prediction = output.refined.prediction
-        pose = RefineCoder(network.config.coder).decode(candidates.pose, prediction.residual)
-        return pose, torch.sigmoid(prediction.logit) * torch.sigmoid(prediction.quality), output.refined.occupied
-    anchors = output.proposed.anchors
-    best = anchors.logit.argmax(dim=1)[candidates.region, None]
-    both = torch.sigmoid(anchors.logit) * torch.sigmoid(anchors.quality)
-    quality = both[candidates.region].gather(1, best).squeeze(1)
-    return candidates.pose, quality, torch.ones_like(quality, dtype=torch.bool)
+def _last_stage(network: RegNet, output: Output) -> tuple[torch.Tensor, Pose, torch.Tensor, torch.Tensor]:
+    """Regions (R,), their poses, their quality (R,) in [0, 1], and which of them mean anything (R,)."""
+    candidates, refined = output.candidates, output.refined
+    if refined is not None:
+        rows, pose = best_of_regions(candidates, refined), network.refined_pose(candidates, refined)
+        pose = Pose(pose.rotation[rows], pose.translation[rows])
+        return candidates.region[rows], pose, torch.sigmoid(refined.prediction.quality[rows]), refined.occupied[rows]
+    quality = expected_quality(output.proposed.anchors)[candidates.region, candidates.anchor]
+    return candidates.region, candidates.pose, quality, torch.ones_like(quality, dtype=torch.bool)
 
 
 def _numpy(values: torch.Tensor) -> np.ndarray:

@@ -7,7 +7,7 @@ from torch import nn
 
 from regnet_core.errors import ModelError
 from regnet_core.gripper import Gripper
-from regnet_core.nn.anchors import GraspCoder, Pose
+from regnet_core.nn.anchors import GraspCoder, Pose, RefineCoder
 from regnet_core.nn.backbone import Backbone
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import NetworkConfig
@@ -15,7 +15,15 @@ from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
 from regnet_core.nn.refinement import RefineNetwork
 from regnet_core.nn.regions import pool_regions, regions_at, select_regions
-from regnet_core.nn.results import Candidates, Output, Proposed, Refined, StagePrediction
+from regnet_core.nn.results import (
+    Candidates,
+    Output,
+    Proposed,
+    Refined,
+    StagePrediction,
+    best_of_regions,
+    expected_quality,
+)
 
 
 class RegNet(nn.Module):
@@ -24,7 +32,7 @@ class RegNet(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.coder = GraspCoder(config.coder)
+        self.coder, self.refine_coder = GraspCoder(config.coder), RefineCoder(config.coder)
         self.backbone = Backbone(config)
         self.score = ScoreHead(config)
         self.grasp = GraspHead(config)
@@ -37,7 +45,7 @@ class RegNet(nn.Module):
         hierarchy: Hierarchy | None = None,
         eligible: torch.Tensor | None = None,
     ) -> Output:
-        """All stages, refining the best anchor of every region.
+        """All stages.
 
         Args:
             clouds: B clouds; the grippers' widths come with them.
@@ -46,8 +54,13 @@ class RegNet(nn.Module):
             eligible: (N,) which points may become positive; all of them when None.
         """
         proposed = self.propose(clouds, hierarchy, eligible=eligible)
-        candidates = self.best_anchors(proposed)
-        refined = None if self.refinement is None else self.refine(candidates, proposed, clouds, gripper)
+        if self.config.refinement is None:
+            return Output(proposed, self.best_anchors(proposed), None)
+        candidates = self.best_anchors(proposed, self.config.refinement.candidates)
+        refined = self.refine(candidates, proposed, clouds, gripper)
+        for _ in range(self.config.refinement.passes - 1):
+            candidates = self.best_refined(candidates, refined)
+            refined = self.refine(candidates, proposed, clouds, gripper)
         return Output(proposed, candidates, refined)
 
     def propose(
@@ -78,12 +91,28 @@ class RegNet(nn.Module):
         return Proposed(hierarchy, features, confidence, regions, pooled, anchors)
 
     @torch.no_grad()
-    def best_anchors(self, proposed: Proposed) -> Candidates:
-        """The proposal (R,) of each region's most likely anchor."""
-        best = proposed.anchors.logit.argmax(dim=1)
-        region = torch.arange(len(best), device=best.device)
+    def best_anchors(self, proposed: Proposed, count: int = 1) -> Candidates:
+        """The proposals (R * count,) of each region's best anchors, region after region."""
+        count = min(count, self.config.anchors)
+        best = expected_quality(proposed.anchors).topk(count, dim=1).indices
+        region = torch.arange(len(best), device=best.device).repeat_interleave(count)
+        best = best.flatten()
         residual = proposed.anchors.residual[region, best]
-        return Candidates(self.coder.decode(proposed.regions.points, best, residual), region)
+        return Candidates(self.coder.decode(proposed.regions.points[region], best, residual), region, best)
+
+    @torch.no_grad()
+    def refined_pose(self, candidates: Candidates, refined: Refined) -> Pose:
+        """What the third stage makes of the proposals (G,)."""
+        return self.refine_coder.decode(candidates.pose, refined.prediction.residual)
+
+    @torch.no_grad()
+    def best_refined(self, candidates: Candidates, refined: Refined) -> Candidates:
+        """The refined proposal (R,) of each region that is expected to be the best, to go on from."""
+        rows = best_of_regions(candidates, refined)
+        pose = self.refined_pose(candidates, refined)
+        return Candidates(
+            Pose(pose.rotation[rows], pose.translation[rows]), candidates.region[rows], candidates.anchor[rows]
+        )
 
     def refine(
         self, candidates: Candidates, proposed: Proposed, clouds: Clouds, gripper: Gripper | None = None

@@ -55,7 +55,9 @@ class Candidates(NamedTuple):
     pose: Pose
     """(G, 3, 3) and (G, 3) [m]."""
     region: torch.Tensor
-    """(G,) int64: the region that each comes from."""
+    """(G,) int64: the region that each comes from; as many of every region, in the regions' order."""
+    anchor: torch.Tensor
+    """(G,) int64: the region's anchor that each comes from."""
 
 
 class Refined(NamedTuple):
@@ -72,6 +74,20 @@ class Output(NamedTuple):
 
     proposed: Proposed
     candidates: Candidates
-    """The best anchor's proposal of every region."""
+    """What went into the last pass of the refinement."""
     refined: Refined | None
     """None where the network has no third stage."""
+
+
+def expected_quality(prediction: StagePrediction) -> torch.Tensor:
+    """(...,) in [0, 1]: the probability of being a grasp times the quality that is expected of it."""
+    return torch.sigmoid(prediction.logit) * torch.sigmoid(prediction.quality)
+
+
+def best_of_regions(candidates: Candidates, refined: Refined) -> torch.Tensor:
+    """The row (R,) of each region's best refined proposal."""
+    if len(candidates.region) == 0:
+        return candidates.region
+    each = int((candidates.region == candidates.region[0]).sum())
+    quality = torch.where(refined.occupied, refined.prediction.quality, -torch.inf).reshape(-1, each)
+    return quality.argmax(dim=1) + each * torch.arange(len(quality), device=quality.device)

@@ -44,6 +44,7 @@ REGNETV2 = NetworkConfig()
 
 REGNETV2_S = NetworkConfig(
     name="regnetv2-s",
+    points=16384,
     abstractions=(
         AbstractionConfig(2048, 0.02, 32, (32, 32, 64)),
         AbstractionConfig(512, 0.06, 32, (64, 64, 128)),
@@ -51,7 +52,14 @@ REGNETV2_S = NetworkConfig(
     ),
     propagations=((256, 256), (128, 128), (128, 128)),
     head=(128, 64),
-    refinement=RefinementConfig(channels=(64, 64, 128), fusion=(128,), margin=0.01, point_features=True),
+    refinement=RefinementConfig(
+        channels=(64, 64, 128),
+        fusion=(128,),
+        margin=0.01,
+        point_features=True,
+        candidates=2,
+        passes=2,
+    ),
 )
 """Compact: what two cores of a CPU train, and run in real time."""
 
@@ -70,6 +78,7 @@ NETWORKS = {
     REGNETV2_S.name: REGNETV2_S,
     **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n) for n in (2, 3)},
     REGNET_V1.name: REGNET_V1,
+    "regnetv2-s-no-width": REGNETV2_S.replace(name="regnetv2-s-no-width", width=False),
     **ABLATIONS,
 }
 """Every network that has a name; ``replace(colour=True)`` gives the same with colours."""

@@ -8,7 +8,8 @@ import math
 import torch
 from torch.utils.data import Dataset
 
-from regnet_core.data.dataset import GraspDataset, GraspSample
+from regnet_core.data.dataset import PIVOT, GraspDataset, GraspSample
+from regnet_core.nn.anchors import Pose
 from regnet_core.training.recipe import Augmentation
 
 
@@ -22,6 +23,7 @@ def augment(sample: GraspSample, config: Augmentation, generator: torch.Generato
         sample,
         points=points,
         viewpoint=_moved(sample.viewpoint, turn),
+        turn=turn @ sample.turn,
         translation=_moved(sample.translation, turn),
         rotation=rotation,
         contacts=contacts,
@@ -53,8 +55,11 @@ class AugmentedDataset(Dataset[GraspSample]):
         return augment(self.dataset[number], self._config, generator)
 
 
-_PIVOT = torch.tensor([0.0, 0.0, 0.75])
-"""The middle of the table's top, about which scenes are turned [m]."""
+def unturned(pose: Pose, turn: torch.Tensor) -> Pose:
+    """Grasps (..., 3, 3), (..., 3) of a sample turned by (3, 3), in the world as it was; in double precision."""
+    back = turn.double().T
+    pivot = back.new_tensor(PIVOT)
+    return Pose(back @ pose.rotation.double(), (pose.translation.double() - pivot) @ back.T + pivot)
 
 
 def _turn(config: Augmentation, generator: torch.Generator) -> torch.Tensor:
@@ -73,7 +78,8 @@ def _rotation(axis: torch.Tensor, angle: float) -> torch.Tensor:
 
 
 def _moved(points: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
-    return (points - _PIVOT) @ turn.T + _PIVOT
+    pivot = points.new_tensor(PIVOT)
+    return (points - pivot) @ turn.T + pivot
 
 
 def _canonical(rotation: torch.Tensor, contacts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

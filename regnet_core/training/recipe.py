@@ -50,8 +50,13 @@ class Recipe:
     """Views in a batch."""
     points: int = 25600
     """Points drawn from a view."""
-    regions: int = 192
+    regions: int = 128
     """Positive points of each view that the second and third stage learn at."""
+    between: float = 0.5
+    """Share of the samples that are for a width between those of the labels, drawn anew every time."""
+    judged: bool = True
+    """Whether quality is learnt from the network's own proposals, judged on the true meshes; otherwise, as in the
+    paper, from the labelled grasps that positive proposals are matched with."""
     learning_rate: float = 2e-3
     """The highest; the paper has 0.005."""
     schedule: Literal["one-cycle", "paper"] = "one-cycle"
@@ -67,6 +72,7 @@ class Recipe:
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "points", "regions"):
             check_range(name, getattr(self, name), 1)
+        check_range("between", self.between, 0.0, 1.0)
         check_range("learning_rate", self.learning_rate, 1e-8, 1.0)
         check_range("weight_decay", self.weight_decay, 0.0, 1.0)
         check_range("clip", self.clip, 1e-6)

@@ -23,6 +23,7 @@ from regnet_core.nn.precision import autocast
 from regnet_core.nn.zoo import network_config
 from regnet_core.training.augmentation import AugmentedDataset
 from regnet_core.training.checkpoint import load_checkpoint, restore_optimiser, save_checkpoint
+from regnet_core.training.judging import BatchJudge
 from regnet_core.training.recipe import Recipe
 from regnet_core.training.step import batch_losses
 from regnet_core.training.validation import validate
@@ -79,7 +80,10 @@ class Trainer:
         torch.manual_seed(self.recipe.seed)
         self.device = torch.device(self.run.device)
         self.network = RegNet(network_config(self.run.network)).to(self.device)
-        self.dataset = GraspDataset(self.run.data, self.recipe.points, seed=self.recipe.seed)
+        self.dataset = GraspDataset(
+            self.run.data, self.recipe.points, seed=self.recipe.seed, between=self.recipe.between
+        )
+        self._judge = BatchJudge(self.dataset.archive) if self.recipe.judged else None
         self._optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=self.recipe.learning_rate, weight_decay=self.recipe.weight_decay
         )
@@ -154,7 +158,7 @@ class Trainer:
         generator = torch.Generator().manual_seed(self.recipe.seed * 1_000_003 + self.step)
         self._optimiser.zero_grad(set_to_none=True)
         with autocast(self.device):
-            losses = batch_losses(self.network, batch.to(self.device), self.recipe, generator)
+            losses = batch_losses(self.network, batch.to(self.device), self.recipe, generator, self._judge)
         losses.total.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.recipe.clip)
         if torch.isfinite(norm):

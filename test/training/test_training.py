@@ -6,16 +6,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from regnet_core.cli import main
+from regnet_core.data.dataset import GraspDataset, collate
 from regnet_core.data.generation.run import generate
 from regnet_core.data.generation.settings import GenerationSettings
 from regnet_core.data.labels.candidates import CandidateConfig
 from regnet_core.errors import InvalidInputError
+from regnet_core.nn.anchors import Pose
 from regnet_core.nn.files import load_network
-from regnet_core.training.recipe import Recipe
+from regnet_core.training.augmentation import augment
+from regnet_core.training.judging import BatchJudge
+from regnet_core.training.recipe import Augmentation, Recipe
 from regnet_core.training.trainer import Run, Trainer
 
 RECIPE = Recipe(steps=6, batch=2, points=1500, regions=24, learning_rate=3e-3)
@@ -105,3 +110,39 @@ def test_a_recipe_comes_back_from_json() -> None:
         Recipe.from_dict({"epochs": 3})
     with pytest.raises(InvalidInputError, match="schedule must be"):
         Recipe(schedule="steps")  # type: ignore[arg-type]
+
+
+def test_a_turned_scene_is_judged_as_the_scene_was(data: Path) -> None:
+    dataset = GraspDataset(data, 1000)
+    judge = BatchJudge(dataset.archive)
+    augmentation = Augmentation(tilt=0.1)
+    plain = [dataset[i] for i in (0, 7)]
+    turned = [augment(sample, augmentation, torch.Generator().manual_seed(3)) for sample in plain]
+    for samples in (plain, turned):
+        batch = collate(samples)
+        worth = judge(batch, Pose(batch.rotation, batch.translation), batch.grasp_batch)
+        assert len(worth) > 20
+        # In single precision a pad may just touch, or just miss, another edge.
+        assert ((worth - batch.score).abs() < 0.005).float().mean() > 0.97
+
+
+def test_samples_show_what_is_around_the_objects(data: Path) -> None:
+    whole = GraspDataset(data, 200_000)
+    near, far = whole[0], whole.archive.view(0, 0)
+    seen = int(np.isfinite(far.depth).sum())
+    objects = near.points[near.object_index >= 0]
+    assert len(near.points.unique(dim=0)) < 0.9 * seen
+    assert (near.points >= objects.amin(dim=0) - 0.1001).all() and (near.points <= objects.amax(dim=0) + 0.1001).all()
+    few = GraspDataset(data, 3000)[0]
+    assert len(few.points.unique(dim=0)) == 3000
+
+
+def test_widths_in_between_have_labels_that_fit(data: Path) -> None:
+    dataset = GraspDataset(data, 500, between=1.0)
+    widths = dataset.archive.widths
+    for number in range(len(widths)):
+        sample = dataset[number]
+        width, lower = float(sample.width), 0.03 if number == 0 else widths[number - 1]
+        assert lower <= width < widths[number]
+        assert (sample.contacts.abs() <= width / 2).all()
+        assert ((sample.confidence >= 0.0) & (sample.confidence <= 1.0)).all()

@@ -14,11 +14,12 @@ from regnet_core.checks import check_range
 from regnet_core.coder import canonical_rotation
 from regnet_core.collision import lowest_height
 from regnet_core.data.labels.candidates import Candidates, Floats
+from regnet_core.data.labels.obstacles import Obstacle, obstacles_of
 from regnet_core.data.scenes.scene import Scene
-from regnet_core.geometry import Array, Box, Mask, Plane
+from regnet_core.geometry import Array, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
-from regnet_core.ops.hand_mesh import CONTACT_DEPTH, box_mesh_faces, hand_on_mesh
+from regnet_core.ops.hand_mesh import CONTACT_DEPTH
 from regnet_core.ops.triangle_tree import TriangleTree, build_tree
 
 
@@ -118,10 +119,7 @@ class SceneLabeller:
         self.scene = scene
         self.config = config or LabelConfig()
         own = trees or [build_tree(model.mesh.vertices, model.mesh.faces) for model in scene.objects]
-        self._obstacles = [
-            *(_Obstacle.of_object(tree, pose) for tree, pose in zip(own, scene.poses, strict=True)),
-            *(_Obstacle.of_box(box) for box in scene.fixtures),
-        ]
+        self._obstacles = obstacles_of(own, scene.poses, scene.fixtures)
         self._table = Plane((0.0, 0.0, 1.0), scene.table_height)
 
     def label(self, candidates: Sequence[Candidates], gripper: Gripper, rng: np.random.Generator) -> LabelledScene:
@@ -153,8 +151,16 @@ class SceneLabeller:
         own = own.take(lowest_height(hands, gripper, self._table) >= self.config.clearance)
         for number, obstacle in enumerate(self._obstacles):
             if number != index:
-                own = own.take(obstacle.leaves_free(own, gripper, self.config.clearance))
+                own = own.take(self._leaves_free(obstacle, own, gripper))
         return own
+
+    def _leaves_free(self, obstacle: Obstacle, own: Candidates, gripper: Gripper) -> Mask:
+        """(M,): the hand does not meet this solid, and closes on its object before it could touch this one."""
+        close, met = obstacle.meet(own.rotation, own.translation, gripper, self.config.clearance)
+        first = (met.high > own.high[close] - CONTACT_DEPTH) | (met.low < own.low[close] + CONTACT_DEPTH)
+        free = np.ones(len(own), np.bool_)
+        free[close] = ~(met.collides | (np.isfinite(met.high) & first))
+        return free
 
     def _thin(self, rank: npt.NDArray[np.int64], rng: np.random.Generator) -> npt.NDArray[np.int64]:
         """Which candidates are kept, given each one's rank at its surface point."""
@@ -168,47 +174,6 @@ class SceneLabeller:
         return GraspLabels(
             own.translation, canonical, own.score, contacts, own.entry, np.full(len(own), index, np.int64)
         )
-
-
-class _Obstacle(NamedTuple):
-    """A solid that hands must not meet."""
-
-    tree: TriangleTree
-    rotation: Array
-    """(3, 3) and ``translation`` (3,): its pose in the world."""
-    translation: Array
-    lower: Array
-    """(3,) and ``upper`` (3,): its bounding box in its own frame [m]."""
-    upper: Array
-
-    @classmethod
-    def of_object(cls, tree: TriangleTree, pose: Array) -> _Obstacle:
-        return cls(tree, pose[:3, :3], pose[:3, 3], tree.lower[0], tree.upper[0])
-
-    @classmethod
-    def of_box(cls, box: Box) -> _Obstacle:
-        return cls.of_object(build_tree(box.corners(), box_mesh_faces()), np.eye(4))
-
-    def leaves_free(self, own: Candidates, gripper: Gripper, clearance: float) -> Mask:
-        """(M,): the hand does not meet this solid, and closes on its object before it could touch this one."""
-        rotation = self.rotation.T @ own.rotation
-        translation = (own.translation - self.translation) @ self.rotation
-        close = np.flatnonzero(self._within_reach(rotation, translation, gripper, clearance))
-        opening = np.full(len(close), gripper.width)
-        met = hand_on_mesh(self.tree, rotation[close], translation[close], opening, gripper, clearance)
-        first = (met.high > own.high[close] - CONTACT_DEPTH) | (met.low < own.low[close] + CONTACT_DEPTH)
-        free = np.ones(len(own), np.bool_)
-        free[close] = ~(met.collides | (np.isfinite(met.high) & first))
-        return free
-
-    def _within_reach(self, rotation: Array, translation: Array, gripper: Gripper, clearance: float) -> Mask:
-        """(M,): the ball round the hand touches the bounding box."""
-        middle = 0.5 * (gripper.depth - gripper.palm_depth)
-        half = 0.5 * (gripper.depth + gripper.palm_depth)
-        radius = np.linalg.norm([half, 0.5 * gripper.width + gripper.thickness, 0.5 * gripper.height]) + clearance
-        centre = translation + middle * rotation[:, :, 0]
-        outside = np.maximum(np.maximum(self.lower - centre, centre - self.upper), 0.0)
-        return np.einsum("mi,mi->m", outside, outside) <= radius**2
 
 
 def canonical_jaw(rotation: Floats, contacts: Floats) -> tuple[Array, Floats]:
