@@ -23,6 +23,7 @@ from regnet_core.nn.precision import autocast
 from regnet_core.nn.zoo import network_config
 from regnet_core.training.augmentation import AugmentedDataset
 from regnet_core.training.checkpoint import load_checkpoint, restore_optimiser, save_checkpoint
+from regnet_core.training.distributed import Group
 from regnet_core.training.judging import BatchJudge
 from regnet_core.training.recipe import Recipe
 from regnet_core.training.step import batch_losses
@@ -48,6 +49,7 @@ class Run:
         validate_every: steps between validations.
         validation_samples: views judged in each.
         stop_after: time after which to save and stop [s].
+        group: the processes that train together.
     """
 
     network: str
@@ -60,6 +62,7 @@ class Run:
     validate_every: int = 1000
     validation_samples: int = 16
     stop_after: float = math.inf
+    group: Group = Group()
 
 
 Report = Callable[[int, dict[str, float]], None]
@@ -77,6 +80,7 @@ class Trainer:
     step: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
+        self._part = self.run.group.part_of(self.recipe.batch)
         torch.manual_seed(self.recipe.seed)
         self.device = torch.device(self.run.device)
         self.network = RegNet(network_config(self.run.network)).to(self.device)
@@ -110,20 +114,22 @@ class Trainer:
     def train(self) -> None:
         """Train to the end of the recipe, or to the end of the time."""
         began = saved = time.monotonic()
+        group = self.run.group
         self.network.train()
         for batch in self._batches():
             self.report(self.step + 1, self._step(batch))
             self.step += 1
-            if self.run.validation is not None and self.step % self.run.validate_every == 0:
+            if self.run.validation is not None and self.step % self.run.validate_every == 0 and group.leads:
                 self.report(self.step, _named(self.validate()))
             now = time.monotonic()
-            if now - saved > self.run.save_every:
+            if group.any(now - saved > self.run.save_every):
                 self.save()
                 saved = now
-            if now - began > self.run.stop_after:
+            if group.any(now - began > self.run.stop_after):
                 break
         self.save()
-        save_network(self.run.out / WEIGHTS, self.network, {"step": self.step, **self._identity()})
+        if group.leads:
+            save_network(self.run.out / WEIGHTS, self.network, {"step": self.step, **self._identity()})
 
     def validate(self) -> MeanMetrics:
         """The metrics on samples spread over the validation data.
@@ -139,6 +145,9 @@ class Trainer:
 
     def save(self) -> None:
         """Write the checkpoint."""
+        self.run.group.average_statistics(self.network)
+        if not self.run.group.leads:
+            return
         state: dict[str, Any] = {"step": self.step, "run": self._identity()}
         save_checkpoint(self.checkpoint, self.network, self._optimiser, state)
 
@@ -155,11 +164,13 @@ class Trainer:
     def _step(self, batch: GraspBatch) -> dict[str, float]:
         for group in self._optimiser.param_groups:
             group["lr"] = self.learning_rate()
-        generator = torch.Generator().manual_seed(self.recipe.seed * 1_000_003 + self.step)
+        seed = (self.recipe.seed * 1_000_003 + self.step) * 1009 + self.run.group.rank
+        generator = torch.Generator().manual_seed(seed)
         self._optimiser.zero_grad(set_to_none=True)
         with autocast(self.device):
             losses = batch_losses(self.network, batch.to(self.device), self.recipe, generator, self._judge)
         losses.total.backward()
+        self.run.group.average_gradients(self.network)
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.recipe.clip)
         if torch.isfinite(norm):
             self._optimiser.step()
@@ -174,7 +185,7 @@ class Trainer:
             dataset.set_epoch(epoch)
             order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(dataset))
             rows = np.resize(order, per_epoch * self.recipe.batch).reshape(per_epoch, -1)[done:]
-            rows = rows[: self.recipe.steps - self.step]
+            rows = rows[: self.recipe.steps - self.step, self._part]
             yield from _loader(dataset, rows, self.run.workers)
 
     def _identity(self) -> dict[str, Any]:

@@ -21,7 +21,8 @@ def _sample(n: int = 400, m: int = 60) -> GraspSample:
     rotation[back, :, 1:] *= -1.0
     translation = rand(m, 3)
     return GraspSample(
-        rand(n, 3), rand(n, 3), rand(n), torch.arange(n), torch.tensor(0.08), rand(3), torch.eye(3), translation, rotation, rand(m),
+        rand(n, 3), rand(n, 3), rand(n), torch.arange(n), torch.tensor(0.08), rand(3), torch.eye(3),
+        translation, rotation, rand(m),
         rand(m, 2) - 0.5, translation + 0.03 * rotation[:, :, 0], torch.arange(m), 0, 0,
     )  # fmt: skip
 
