@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,8 @@ def train(
     Every number of every step is a line of log.jsonl in --out, and a curve in TensorBoard where that is installed:
     tensorboard --logdir OUT. On several GPUs: torchrun --nproc-per-node 4 -m regnet_core.cli train ...
     """
+    # Threads that spin while they wait make everything several times slower when another process wants the cores.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     with needs("train", "train"):
         import torch
 

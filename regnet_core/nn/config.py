@@ -123,6 +123,9 @@ class NetworkConfig:
     """Where positive points come from: 1 all points, 2 the first set abstraction's centroids, 3 the second's, ..."""
     positives: int = 768
     """k1, how many positive points are taken from each cloud, at most."""
+    spacing: float = 0.0
+    """Grasps whose centres are nearer than this to that of a better grasp are left out [m]: the others are spread over
+    the objects. 0 keeps them all, as the paper does."""
     region: RegionConfig | None = field(default_factory=RegionConfig)
     """None: a positive point's own features are used instead of its region's."""
     grasp_heads: Literal[0, 1, 2] = 2
@@ -135,6 +138,7 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         check_range("points", self.points, 1)
         check_range("positives", self.positives, 1)
+        check_range("spacing", self.spacing, 0.0, 1.0, "m")
         _check_channels("head", self.head)
         if len(self.propagations) != len(self.abstractions) or not self.abstractions:
             raise InvalidInputError(

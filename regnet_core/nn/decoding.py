@@ -27,6 +27,7 @@ def decode(network: RegNet, output: Output, clouds: Clouds) -> list[Grasps]:
     for cloud, width in enumerate(clouds.width.tolist()):
         rows = ((owner == cloud) & usable).nonzero().squeeze(1)
         rows = rows[quality[rows].argsort(descending=True, stable=True)]
+        rows = rows[spread(pose.translation[rows], network.config.spacing)]
         grasps.append(
             Grasps.from_poses(
                 _numpy(pose.rotation[rows]),
@@ -38,6 +39,19 @@ def decode(network: RegNet, output: Output, clouds: Clouds) -> list[Grasps]:
             )
         )
     return grasps
+
+
+def spread(centres: torch.Tensor, spacing: float) -> torch.Tensor:
+    """Which of grasps with centres (G, 3) [m], best first, have no better one within the spacing that stays -> (K,)."""
+    count = len(centres)
+    if spacing <= 0.0 or count == 0:
+        return torch.arange(count, device=centres.device)
+    near = (torch.cdist(centres.double(), centres.double()) < spacing).cpu()
+    kept = torch.ones(count, dtype=torch.bool)
+    for row in range(count):
+        if kept[row]:
+            kept[row + 1 :] &= ~near[row, row + 1 :]
+    return kept.nonzero().squeeze(1).to(centres.device)
 
 
 def _last_stage(network: RegNet, output: Output) -> tuple[torch.Tensor, Pose, torch.Tensor, torch.Tensor]:

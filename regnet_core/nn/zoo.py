@@ -23,7 +23,7 @@ last digit printed, but for Sv3 and Sv4, which would be rounded to 6.275 (test_l
 | name                   | parameters | GFLOP |                                       |
 |------------------------|------------|-------|---------------------------------------|
 | regnetv2               | 6.511      | 242.5 | the paper's size, without colours     |
-| regnetv2-s             | 0.477      | 13.6  |                                       |
+| regnetv2-s             | 0.477      | 12.5  | 16384 points                          |
 | regnet                 | 6.510      | 157.1 | 64 regions instead of 768             |
 | regnetv2-no-anchors    | 6.507      | 173.5 | a fourth of the proposals to refine   |
 | regnetv2-no-region     | 6.511      | 242.5 |                                       |
@@ -76,7 +76,7 @@ NETWORKS = {
     REGNETV2.name: REGNETV2,
     **{f"regnetv2-layer{n}": REGNETV2.replace(name=f"regnetv2-layer{n}", layer=n) for n in (2, 3)},
     REGNETV2_S.name: REGNETV2_S,
-    **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n) for n in (2, 3)},
+    **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n, spacing=0.02) for n in (2, 3)},
     REGNET_V1.name: REGNET_V1,
     "regnetv2-s-no-width": REGNETV2_S.replace(name="regnetv2-s-no-width", width=False),
     **ABLATIONS,

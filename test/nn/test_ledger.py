@@ -119,7 +119,8 @@ def count_all_anchors(network: RegNet, features: torch.Tensor, chosen: torch.Ten
     clouds, region = batch(network.config.points), torch.arange(len(chosen)).repeat_interleave(network.config.anchors)
     points = regions_at(chosen, clouds).points[region]
     pose = network.coder.decode(points, torch.zeros_like(region), torch.zeros(len(region), 8))
-    padded.refined_numbers(network, clouds, features, pooled, Candidates(pose, region), Gripper())
+    candidates = Candidates(pose, region, torch.zeros_like(region))
+    padded.refined_numbers(network, clouds, features, pooled, candidates, Gripper())
 
 
 def test_ledger_refuses_rows_and_networks_that_are_not_there() -> None:
