@@ -10,6 +10,7 @@ import torch
 
 from regnet_core.errors import CloudError
 from regnet_core.nn.config import NetworkConfig
+from regnet_core.ops.local_shape import local_shapes, unique_entries
 
 _USUAL_WIDTH, _WIDTH_SPREAD = 0.09, 0.03
 """Middle and half the range of the paper's widths [m]: as a feature, 0.06 m is -1 and 0.12 m is 1."""
@@ -26,6 +27,8 @@ class Clouds(NamedTuple):
     """(B,) float32, the gripper's W for each cloud [m]."""
     colors: torch.Tensor | None = None
     """(N, 3) float32 in [0, 1]."""
+    shapes: torch.Tensor | None = None
+    """(N, 3, 3) float32, the local shapes (ops/local_shape.py), where they were computed."""
 
     @classmethod
     def of(
@@ -79,7 +82,9 @@ class Clouds(NamedTuple):
 
 
 def point_features(clouds: Clouds, config: NetworkConfig) -> torch.Tensor | None:
-    """What every point comes with: the scaled width, then the colours in [-1, 1] -> (N, C); None where it is nothing.
+    """What every point comes with: the scaled width, then the colours in [-1, 1], then the local shape -> (N, C).
+
+    None where it is nothing.
 
     Raises:
         CloudError: the network wants colours and there are none.
@@ -91,7 +96,20 @@ def point_features(clouds: Clouds, config: NetworkConfig) -> torch.Tensor | None
         if clouds.colors is None:
             raise CloudError(f"the network '{config.name}' needs the points' colours, and the clouds have none")
         parts.append(clouds.colors * 2.0 - 1.0)
+    if clouds.shapes is not None:
+        parts.append(unique_entries(clouds.shapes))
     return torch.cat(parts, dim=1) if parts else None
+
+
+@torch.no_grad()
+def with_shapes(clouds: Clouds, config: NetworkConfig) -> Clouds:
+    """The clouds with their local shapes, where the network wants them; without, where it does not."""
+    if config.shape_radius == 0.0:
+        return clouds._replace(shapes=None)
+    if clouds.shapes is not None:
+        return clouds
+    shapes = [local_shapes(clouds.points[own], config.shape_radius) for own in clouds.slices()]
+    return clouds._replace(shapes=torch.cat(shapes))
 
 
 def width_feature(width: torch.Tensor) -> torch.Tensor:

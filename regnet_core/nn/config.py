@@ -9,6 +9,7 @@ from typing import Any, Literal
 from regnet_core.checks import check_range, is_whole
 from regnet_core.errors import InvalidInputError
 from regnet_core.nn.anchors import CoderConfig
+from regnet_core.ops.local_shape import SHAPE_CHANNELS
 
 
 def _check_channels(name: str, channels: tuple[int, ...]) -> None:
@@ -113,6 +114,9 @@ class NetworkConfig:
     """Whether the gripper's width is a feature of every point."""
     colour: bool = False
     """Whether the points' colours are features."""
+    shape_radius: float = 0.0
+    """The shape of the surface within this radius is a feature of every point, and of every closing area's points as
+    seen from the grasp (ops/local_shape.py) [m]; 0: no such feature, as in the paper."""
     abstractions: tuple[AbstractionConfig, ...] = PAPER_ABSTRACTIONS
     """Set abstractions, fine to coarse."""
     propagations: tuple[tuple[int, ...], ...] = ((1024, 1024), (512, 512), (256, 256, 256))
@@ -139,6 +143,7 @@ class NetworkConfig:
         check_range("points", self.points, 1)
         check_range("positives", self.positives, 1)
         check_range("spacing", self.spacing, 0.0, 1.0, "m")
+        check_range("shape_radius", self.shape_radius, 0.0, 0.1, "m")
         _check_channels("head", self.head)
         if len(self.propagations) != len(self.abstractions) or not self.abstractions:
             raise InvalidInputError(
@@ -160,7 +165,7 @@ class NetworkConfig:
     @property
     def point_channels(self) -> int:
         """Features that every point comes with."""
-        return int(self.width) + 3 * int(self.colour)
+        return int(self.width) + 3 * int(self.colour) + SHAPE_CHANNELS * int(self.shape_radius > 0.0)
 
     @property
     def features(self) -> int:

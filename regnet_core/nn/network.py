@@ -9,7 +9,7 @@ from regnet_core.errors import ModelError
 from regnet_core.gripper import Gripper
 from regnet_core.nn.anchors import GraspCoder, Pose, RefineCoder
 from regnet_core.nn.backbone import Backbone
-from regnet_core.nn.clouds import Clouds
+from regnet_core.nn.clouds import Clouds, with_shapes
 from regnet_core.nn.config import NetworkConfig
 from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
@@ -53,6 +53,7 @@ class RegNet(nn.Module):
             hierarchy: of the clouds, where it was made ahead.
             eligible: (N,) which points may become positive; all of them when None.
         """
+        clouds = with_shapes(clouds, self.config)
         proposed = self.propose(clouds, hierarchy, eligible=eligible)
         if self.config.refinement is None:
             return Output(proposed, self.best_anchors(proposed), None)
@@ -79,6 +80,7 @@ class RegNet(nn.Module):
                 confident ones: for training.
             eligible: (N,) which points may be among the most confident ones; all of them when None.
         """
+        clouds = with_shapes(clouds, self.config)
         cfg, hierarchy = self.config, hierarchy or build_hierarchy(clouds, self.config)
         features = self.backbone(clouds, hierarchy)
         confidence = self.score(features)
@@ -127,6 +129,6 @@ class RegNet(nn.Module):
         pose = Pose(candidates.pose.rotation.float(), candidates.pose.translation.float())
         refined: Refined = self.refinement(
             candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.features,
-            clouds, proposed.hierarchy, gripper or Gripper(),
+            with_shapes(clouds, self.config), proposed.hierarchy, gripper or Gripper(),
         )  # fmt: skip
         return refined

@@ -21,6 +21,7 @@ from regnet_core.nn.hierarchy import Hierarchy
 from regnet_core.nn.layers import TILE, Mlp, in_one_go, output_layer
 from regnet_core.nn.results import Candidates, Refined, Regions, StagePrediction
 from regnet_core.ops.box_query import Boxes, box_query
+from regnet_core.ops.local_shape import turned, unique_entries
 from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
 from regnet_core.ops.segments import segment_max
 
@@ -93,16 +94,19 @@ class RefineNetwork(nn.Module):
         return torch.cat([pooled(*tile) for tile in near.tiles(TILE)])
 
     def _own_features(self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, clouds: Clouds) -> torch.Tensor:
-        """(E, 3 + C): positions in the grasp frame, the width, and the colours."""
+        """(E, 3 + C): positions in the grasp frame, the width, the colours, and the local shapes in the grasp frame."""
         proposal = near.centres()
         offset = clouds.points.index_select(0, near.indices) - pose.translation.detach().index_select(0, proposal)
+        rotation = pose.rotation.detach().index_select(0, proposal)
         # Not a matrix product, which autocast would compute in bfloat16.
-        local = (pose.rotation.detach().index_select(0, proposal) * offset[:, :, None]).sum(dim=1) / _UNIT
+        local = (rotation * offset[:, :, None]).sum(dim=1) / _UNIT
         parts = [local]
         if self.config.width:
             parts.append(width_feature(clouds.width)[cloud[proposal], None])
         if self.config.colour and clouds.colors is not None:
             parts.append(clouds.colors.index_select(0, near.indices) * 2.0 - 1.0)
+        if clouds.shapes is not None:
+            parts.append(unique_entries(turned(clouds.shapes.index_select(0, near.indices), rotation)))
         return torch.cat(parts, dim=1)
 
 

@@ -26,6 +26,31 @@ class LocalPlanes(NamedTuple):
     """(Q,): number of neighbours, the point itself included."""
 
 
+class LocalMoments(NamedTuple):
+    """For each of Q query points."""
+
+    neighbours: npt.NDArray[np.int64]
+    """(Q,): number of neighbours, the point itself included."""
+    mean: Array
+    """(Q, 3): centroid of the neighbours [m]."""
+    covariance: Array
+    """(Q, 3, 3) of the neighbours [m2]."""
+
+
+def local_moments(grid: VoxelGrid, queries: Array, radius: float) -> LocalMoments:
+    """Mean and covariance of the grid's points within ``radius`` [m] of each query (Q, 3)."""
+    count = np.zeros(len(queries), np.int64)
+    mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
+
+    def run(start: int, stop: int) -> None:
+        _moments(
+            queries, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, count, mean, cov
+        )
+
+    for_each_range(run, len(queries))
+    return LocalMoments(count, mean, cov)
+
+
 def local_planes(grid: VoxelGrid, queries: Array, radius: float) -> LocalPlanes:
     """Fit a plane to the grid's points within ``radius`` [m] of each query (Q, 3)."""
     count = np.zeros(len(queries), np.int64)

@@ -11,7 +11,7 @@ import torch
 
 from regnet_core.data.dataset import GraspBatch
 from regnet_core.nn.anchors import Pose
-from regnet_core.nn.clouds import Clouds
+from regnet_core.nn.clouds import Clouds, with_shapes
 from regnet_core.nn.losses import StageLoss, score_loss, stage_loss
 from regnet_core.nn.matching import LabelledGrasps, Matcher, proposal_targets, region_targets
 from regnet_core.nn.network import RegNet
@@ -61,7 +61,7 @@ def batch_losses(
         generator: draws the positive points that the later stages learn at.
         judge: of the network's own proposals; without one quality is that of the matched labels.
     """
-    clouds = Clouds.stacked(batch.points, batch.width, batch.colors)
+    clouds = with_shapes(Clouds.stacked(batch.points, batch.width, batch.colors), network.config)
     positives = draw_positives(batch, recipe.regions, generator)
     proposed = network.propose(clouds, positives=positives)
     lesson = _Lesson(network, batch, recipe, judge, LabelledGrasps.of(batch, recipe.matching))

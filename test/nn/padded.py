@@ -57,8 +57,26 @@ def plain_interpolation(values: torch.Tensor, points: torch.Tensor, queries: tor
     return (values[nearest.indices] * weight[..., None]).sum(dim=1)
 
 
+def plain_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
+    """(N, 3, 3): 3 C / trace(C) - 1, one point after the other."""
+    shapes = torch.zeros(len(points), 3, 3)
+    for row, point in enumerate(points.double()):
+        near = points.double()[(points.double() - point).norm(dim=1) <= radius]
+        covariance = (near - near.mean(dim=0)).T @ (near - near.mean(dim=0)) / len(near)
+        if covariance.trace() >= 1e-8:
+            shapes[row] = (3.0 * covariance / covariance.trace() - torch.eye(3)).float()
+    return shapes
+
+
+def with_plain_shapes(network: RegNet, clouds: Clouds) -> Clouds:
+    """The one cloud with its local shapes, where the network wants them."""
+    radius = network.config.shape_radius
+    return clouds._replace(shapes=plain_shapes(clouds.points, radius)) if radius else clouds
+
+
 def backbone_features(network: RegNet, clouds: Clouds) -> torch.Tensor:
     """(N, C) of the one cloud."""
+    clouds = with_plain_shapes(network, clouds)
     start = int(farthest_points(clouds.points, 1))  # which point comes first is not defined
     config, backbone = network.config, network.backbone
     points, own = [clouds.points], point_features(clouds, config)
@@ -126,6 +144,10 @@ def refined_numbers(
     if config.colour:
         assert clouds.colors is not None
         parts.append(clouds.colors[index] * 2.0 - 1.0)
+    shapes = with_plain_shapes(network, clouds).shapes
+    if shapes is not None:
+        seen = pose.rotation.transpose(1, 2)[:, None] @ shapes[index] @ pose.rotation[:, None]
+        parts.append(seen[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)])
     if config.refinement.point_features:
         parts.append(features[index])
     seen = run_mlp(module.mlp, torch.cat(parts, dim=-1)).max(dim=1).values

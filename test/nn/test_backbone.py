@@ -49,6 +49,8 @@ VARIANTS = {
     "shared grasp head": TINY.replace(grasp_heads=1),
     "no grasp head": TINY.replace(grasp_heads=0),
     "rich refinement": TINY.replace(colour=True, refinement=REFINEMENT),
+    "shapes": TINY.replace(shape_radius=0.03),
+    "shapes, colour, rich refinement": TINY.replace(shape_radius=0.03, colour=True, refinement=REFINEMENT),
 }
 every_variant = pytest.mark.parametrize("config", VARIANTS.values(), ids=VARIANTS)
 

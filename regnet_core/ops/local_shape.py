@@ -1,0 +1,70 @@
+"""The shape of the surface around each point: which way it faces, and whether it is flat, an edge or a speck.
+
+It is the covariance of the points within a radius, divided by its trace. On a flat surface with the normal n it is
+(1 - n n^T) / 2: it says the same as a normal, but has no sign to be guessed, and is nothing sudden where the surface
+bends or the points are few.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from regnet_core.ops.local_planes import local_moments
+from regnet_core.ops.voxel_grid import build_grid
+
+SHAPE_CHANNELS = 6
+"""xx, yy, zz, xy, xz, yz of the tensor."""
+_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+_LEAST_TRACE = 1e-8
+"""Less than a tenth of a millimetre squared: such points have no shape [m2]."""
+_CHUNK = 1 << 24
+"""Pairs of points that the search in torch looks at in one go."""
+
+
+def local_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
+    """(N, 3, 3) float32: 3 C / trace(C) - 1, with C the covariance of the points (N, 3) within ``radius`` [m] of each.
+
+    A flat surface with the normal z gives diag(0.5, 0.5, -1), points on a line along z diag(-1, -1, 2), and points
+    without neighbours 0.
+    """
+    if points.device.type == "cpu":
+        at = points.detach().numpy().astype(np.float64)
+        covariance = torch.from_numpy(local_moments(build_grid(at, radius), at, radius).covariance)
+    else:
+        covariance = covariance_in_torch(points.detach(), radius)
+    trace = covariance.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    shape = 3.0 * covariance / trace.clamp(min=_LEAST_TRACE) - torch.eye(
+        3, dtype=covariance.dtype, device=points.device
+    )
+    return torch.where(trace >= _LEAST_TRACE, shape, torch.zeros_like(shape)).float()
+
+
+def covariance_in_torch(points: torch.Tensor, radius: float) -> torch.Tensor:
+    """(N, 3, 3) float64 [m2], on any device: every point is compared with every other."""
+    at = points.double() - points.double().mean(dim=0)
+    products = torch.cat([torch.ones_like(at[:, :1]), at, at[:, _ROWS] * at[:, _COLUMNS]], dim=1)
+    parts = []
+    for some in at.split(max(1, _CHUNK // max(1, len(at)))):
+        near = torch.cdist(some, at, compute_mode="donot_use_mm_for_euclid_dist") <= radius
+        parts.append(near.double() @ products)
+    sums = torch.cat(parts) if parts else products
+    sums = sums / sums[:, :1]
+    return symmetric(sums[:, 4:] - sums[:, 1:4][:, _ROWS] * sums[:, 1:4][:, _COLUMNS])
+
+
+def unique_entries(tensor: torch.Tensor) -> torch.Tensor:
+    """(N, 6) of symmetric tensors (N, 3, 3)."""
+    return tensor[:, _ROWS, _COLUMNS]
+
+
+def symmetric(entries: torch.Tensor) -> torch.Tensor:
+    """(N, 3, 3) of their unique entries (N, 6)."""
+    xx, yy, zz, xy, xz, yz = entries.unbind(dim=1)
+    return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], dim=1).reshape(-1, 3, 3)
+
+
+def turned(tensor: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """R^T S R of symmetric tensors (N, 3, 3), as seen in frames R (N, 3, 3); in full precision under autocast too."""
+    half = (tensor[:, :, :, None] * rotation[:, None, :, :]).sum(dim=2)
+    return (rotation[:, :, :, None] * half[:, :, None, :]).sum(dim=1)
