@@ -1,1 +1,1 @@
-"""Independent judges of grasps: collision and contacts on the true meshes of a scene."""
+"""Independent judges of grasps: collision and contacts on the true meshes of a scene; studies that compare methods."""

@@ -1,5 +1,7 @@
 """How wide the thing between the fingers really is, whatever the jaw's opening."""
 
+from typing import NamedTuple
+
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
@@ -10,15 +12,24 @@ SLIGHT = 0.001
 """An overlap with the closing region shorter than this is a graze [m]."""
 
 
-def enclosed_width(
+class Enclosed(NamedTuple):
+    """What is between the fingers of M grasps."""
+
+    width: NDArray[np.float64]
+    """(M,) extent along the closing direction, the part beyond the pads included [m]; NaN where there is nothing."""
+    object_index: NDArray[np.int64]
+    """(M,) index of its mesh; -1 where there is nothing."""
+
+
+def enclosed_solids(
     caster: o3d.t.geometry.RaycastingScene,
     face_normals: NDArray[np.float64],
     first_face: NDArray[np.int64],
     origins: NDArray[np.float64],
     closing: NDArray[np.float64],
     opening: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Extent along the closing direction of the solid that fills most of each closing region.
+) -> Enclosed:
+    """The solid that fills most of each closing region, and its extent along the closing direction.
 
     Args:
         caster: meshes with geometry ids 0 .. K-1.
@@ -27,9 +38,6 @@ def enclosed_width(
         origins: (M, R, 3) points of the closing region's middle plane, y = 0 [m].
         closing: (M, 3) closing directions.
         opening: (M,) distance between the finger pads [m].
-
-    Returns:
-        (M,) [m], the part beyond the pads included; NaN where the closing region is empty.
     """
     m, r = origins.shape[:2]
     lines = np.concatenate([origins, np.broadcast_to(closing[:, None], origins.shape)], axis=-1).reshape(-1, 6)
@@ -41,12 +49,14 @@ def enclosed_width(
     grasp, owner, start, end, overlap = grasp[keep], owner[keep], start[keep], end[keep], overlap[keep]
     solids = len(first_face)
     filled = np.bincount(grasp * solids + owner, weights=overlap, minlength=m * solids).reshape(m, solids)
-    mine = owner == filled.argmax(axis=1)[grasp]
+    most = filled.argmax(axis=1)
+    mine = owner == most[grasp]
     lowest, highest = np.full(m, np.inf), np.full(m, -np.inf)
     np.minimum.at(lowest, grasp[mine], start[mine])
     np.maximum.at(highest, grasp[mine], end[mine])
     found = np.isfinite(lowest)
-    return np.where(found, np.where(found, highest, 0.0) - np.where(found, lowest, 0.0), np.nan)
+    width = np.where(found, np.where(found, highest, 0.0) - np.where(found, lowest, 0.0), np.nan)
+    return Enclosed(width, np.where(found, most, -1))
 
 
 def _inside_intervals(
