@@ -17,6 +17,8 @@ MAINTAINERS = MANIFEST.findall("maintainer")
 # those of numpy, scipy and pillow are not above Ubuntu 24.04's, where ROS 2 Jazzy lives. ROS itself is left out: it
 # comes from the ROS installation or, where there is none, from the extra "ros".
 RUNTIME = [
+    # Later releases have no wheels for some Pythons.
+    "fpsample==0.3.3",
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",
     "numba>=0.59",
@@ -26,7 +28,9 @@ RUNTIME = [
     "pypcd4>=1.1",
     "pyyaml>=6",
     "rich>=15",
+    "safetensors>=0.5",
     "scipy>=1.11",
+    "torch>=2.4",
     "trimesh>=4.6",
     "typer>=0.29",
 ]
@@ -38,6 +42,7 @@ EXTRAS = {
     "data": [
         "coacd>=1.0.4",
         "manifold3d>=3",
+        "matplotlib>=3.6",
         "mujoco>=4",
         # trimesh mends the winding of meshes with it.
         "networkx>=3",
@@ -45,16 +50,15 @@ EXTRAS = {
         "open3d-cpu>=0.19,<0.20",
         "python-fcl>=0.7",
         "rosbags>=0.11",
-        "safetensors>=0.5",
         "scipy>=1.15",
         "trimesh>=5",
         "zstandard>=0.22",
     ],
-    "dev": ["colcon-common-extensions", "matplotlib>=3.6", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
+    "dev": ["colcon-common-extensions", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
     # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.
     "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],
-    # The networks and their training. fpsample's later releases have no wheels for some Pythons.
-    "train": ["fpsample==0.3.3", "safetensors>=0.5", "torch>=2.4"],
+    # Training networks on data sets.
+    "train": [f"{NAME}[data]", "tensorboard>=2.16"],
     # Building regnet_msgs against those wheels, with a C++ compiler and make from the system.
     "msgs": [
         "catkin_pkg",

@@ -1,6 +1,6 @@
 """Times one detection and its steps on recorded clouds; medians over clouds and repetitions.
 
-python benchmarks/detection.py [--bags bags/clutter_10 bags/clutter_20] [--points 25600] [--width 0.08] [--json FILE]
+python benchmarks/detection.py [--bags BAG ...] [--points 25600] [--width 0.08] [--model NAME] [--json FILE]
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from statistics import median
 
 import numpy as np
 
-from regnet_core import GraspDetector, Gripper, available_models
+from regnet_core import GraspDetector, Gripper
 from regnet_core.io.bags import read_bag_clouds
+from regnet_core.models import DEFAULT_MODEL
 from regnet_core.pointcloud import random_sample
 
 
@@ -25,7 +26,8 @@ def main() -> None:
     parser.add_argument("--bags", type=Path, nargs="+", default=[Path("bags/clutter_10"), Path("bags/clutter_20")])
     parser.add_argument("--points", type=int, default=0, help="draw so many points of each cloud; 0: all")
     parser.add_argument("--width", type=float, default=0.08, help="gripper width [m]")
-    parser.add_argument("--model", choices=available_models(), default="antipodal")
+    parser.add_argument("--model", default=DEFAULT_MODEL, help="a name or the path of weights")
+    parser.add_argument("--device", default="auto")
     parser.add_argument("--repeat", type=int, default=5, help="repetitions, after one that does not count")
     parser.add_argument("--json", type=Path, help="also write the seconds of every detection")
     options = parser.parse_args()
@@ -33,8 +35,10 @@ def main() -> None:
     clouds = [points[np.isfinite(points).all(axis=1)] for points in clouds]
     if options.points:
         clouds = [points[random_sample(len(points), options.points, np.random.default_rng(0))] for points in clouds]
-    seconds = measure(GraspDetector(options.model), Gripper(width=options.width), clouds, options.repeat)
+    detector = GraspDetector(options.model, options.device)
+    seconds = measure(detector, Gripper(width=options.width), clouds, options.repeat)
     sizes = [len(points) for points in clouds]
+    print(f"{detector.model} on {detector.device}")
     print(f"{len(clouds)} clouds of {min(sizes)} to {max(sizes)} points, {len(os.sched_getaffinity(0))} cores")
     print(f"{'step':24s} {'median':>8s} {'least':>8s} {'most':>8s}  [ms]")
     for name, values in seconds.items():

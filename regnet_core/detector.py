@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from regnet_core.baselines.antipodal import AntipodalSampler
 from regnet_core.collision import CollisionConfig, SceneCollision
-from regnet_core.errors import CloudError, GripperError, InvalidInputError, ModelError
+from regnet_core.errors import CloudError, GripperError, InvalidInputError
 from regnet_core.explain import explain
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.models import DEFAULT_MODEL, load_model
 from regnet_core.pointcloud import as_points, validate_colors, validate_viewpoint
-from regnet_core.proposer import Proposer
 from regnet_core.report import DetectionReport, StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
 
-_MODELS: dict[str, Callable[[], Proposer]] = {AntipodalSampler.name: AntipodalSampler}
-
 _MIN_POINTS = 20
 """Fewer points than this on objects are no surface that could be grasped."""
-
-
-def available_models() -> tuple[str, ...]:
-    """The names that ``GraspDetector(model=...)`` takes."""
-    return tuple(_MODELS)
 
 
 @dataclass(frozen=True)
@@ -63,30 +56,29 @@ class GraspDetector:
     """Finds grasps in point clouds. The same input, seed and device give the same output.
 
     Args:
-        model: one of ``available_models()``.
-        device: "auto" or "cpu".
+        model: one of ``available_models()``, or the path of the weights (.safetensors) of a network of one's own.
+        device: "auto" (a GPU where torch can use one and the model can, else the CPU), "cpu", "cuda" or "cuda:N".
         seed: seed of every random choice; each call of ``detect`` starts from it.
         config: preparation of the cloud, collision, number of grasps.
 
     Raises:
-        ModelError: there is no such model or device.
+        ModelError: there is no such model or device, or its weights cannot be used.
         InvalidInputError: the seed is not a whole number, 0 or more.
     """
 
     def __init__(
-        self, model: str = "antipodal", device: str = "auto", seed: int = 0, config: DetectorConfig | None = None
+        self,
+        model: str | Path = DEFAULT_MODEL,
+        device: str = "auto",
+        seed: int = 0,
+        config: DetectorConfig | None = None,
     ) -> None:
-        if model not in _MODELS:
-            raise ModelError(f"no model '{model}'; there are {', '.join(_MODELS)}")
-        if device not in ("auto", "cpu"):
-            raise ModelError(f"model '{model}' runs on the device 'cpu' (or 'auto'), not on '{device}'")
         if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
             raise InvalidInputError(f"seed must be a whole number, 0 or more, got {seed!r}")
-        self.model = model
-        self.device = "cpu"
+        self.model = str(model)
         self.seed = int(seed)
         self.config = config or DetectorConfig()
-        self._proposer = _MODELS[model]()
+        self._proposer, self.device = load_model(self.model, device)
 
     def detect(
         self,

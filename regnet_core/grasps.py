@@ -53,14 +53,17 @@ class Grasps:
     quality: Array
     """(M,): s_q in [0, 1], the antipodal score cos(alpha_i) cos(alpha_j) that the detector expects at the two contacts.
 
-    ``antipodal`` lowers it where the fingers have little room or go down into space that the camera could not see.
+    A network gives it times the chance of being free of collision, both learnt from its own grasps as judged on the
+    true meshes. ``antipodal`` lowers it where the fingers have little room or go down into space that the camera could
+    not see.
     """
     vertical_score: Array
     """(M,): s_v in [0, 1], 1 when the hand points straight down."""
     confidence: Array
     """(M,): in [0, 1], how well the point the grasp came from is suited to grasping.
 
-    ``antipodal`` gives the share of the less seen contact that the camera saw.
+    A network gives the confidence of its positive point, ``antipodal`` the share of the less seen contact that the
+    camera saw.
     """
 
     def __post_init__(self) -> None:

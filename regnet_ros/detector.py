@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from regnet_core.detector import Detection, DetectorConfig, GraspDetector
-from regnet_core.errors import CloudError, InvalidInputError
+from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.report import DetectionReport
@@ -23,6 +23,7 @@ from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from
 from regnet_ros.node import GraspNode
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
+from regnet_ros.threads import use_threads
 from regnet_ros.visuals import grasp_markers
 from regnet_ros.warm_up import made_up_cloud
 
@@ -39,18 +40,20 @@ class Detector(GraspNode[DetectorParameters]):
     table = DetectorParameters
 
     def __init__(self, **kwargs: Any) -> None:
-        self._built: tuple[tuple[object, ...], GraspDetector] | None = None
+        self._detectors: dict[tuple[object, ...], GraspDetector] = {}
+        self._warm: set[tuple[str, str]] = set()
+        self._in_use = ("", "")
         self._last_cloud: PointCloud2 | None = None
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
+        use_threads(self.settings.threads)
 
     def configure(self) -> None:
         """Make the detector ready to run, then create the topics and the service."""
-        detector, settings = self._detector_for(self.settings), self.settings
-        if settings.warm_up:
-            with self.busy:
-                start = time.perf_counter()
-                detector.detect(made_up_cloud(), settings.gripper)
-                self.get_logger().info(f"warm-up took {time.perf_counter() - start:.1f} s")
+        settings = self.settings
+        detector = self._detector_for(settings)
+        with self.busy:
+            self._warm_up(detector, settings)
+        self._announce(detector)
         self._grasps = self.add_publisher(GraspArray, "grasps")
         self._poses = self.add_publisher(PoseArray, "grasp_poses")
         self._markers = self.add_publisher(MarkerArray, "grasp_markers")
@@ -60,11 +63,16 @@ class Detector(GraspNode[DetectorParameters]):
         self.at_cleanup(self._forget)
 
     def check_settings(self, proposed: DetectorParameters) -> None:
-        """Refuse a model or device that cannot be had."""
-        self._detector_for(proposed)
+        """Refuse a model or device that cannot be had; make another one ready while the present one works on."""
+        detector = self._detector_for(proposed)
+        if self.state_label in ("inactive", "active"):
+            self._warm_up(detector, proposed)
 
     def settings_changed(self, old: DetectorParameters) -> None:
-        """Detect again in the last cloud, where that is wanted."""
+        """Say which model is in use now, and detect again in the last cloud, where that is wanted."""
+        detector = self._detector_for(self.settings)
+        if self._in_use not in (("", ""), (detector.model, detector.device)):
+            self._announce(detector)
         if self.settings.redetect_on_change and self._last_cloud is not None and not self.settings.same_result(old):
             self.repeat(_Again(self._last_cloud))
 
@@ -76,7 +84,7 @@ class Detector(GraspNode[DetectorParameters]):
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
         except InvalidInputError as error:
-            self._publish(cloud.header, self._nothing(settings, str(error)), settings.max_markers)
+            self._publish(cloud.header, self._nothing(settings.gripper, str(error)), settings.max_markers)
             raise
         found = time.perf_counter()
         self._publish(cloud.header, detection, settings.max_markers)
@@ -123,20 +131,48 @@ class Detector(GraspNode[DetectorParameters]):
         return response
 
     def _detector_for(self, settings: DetectorParameters) -> GraspDetector:
-        key = (settings.model, settings.device, settings.seed, settings.max_grasps)
-        built = self._built
-        if built is None or built[0] != key:
+        key = _key(settings)
+        detector = self._detectors.get(key)
+        if detector is None:
             config = DetectorConfig(max_grasps=settings.max_grasps)
-            built = key, GraspDetector(settings.model, settings.device, settings.seed, config)
-            self._built = built
-        return built[1]
+            detector = GraspDetector(settings.model, settings.device, settings.seed, config)
+            # While another one is made ready, work still asks for the present one.
+            present = {k: d for k, d in self._detectors.items() if k == _key(self.settings)}
+            self._detectors = {**present, key: detector}
+        return detector
 
-    def _nothing(self, settings: DetectorParameters, reason: str) -> Detection:
-        report = DetectionReport((), settings.model, settings.device, reason)
-        return Detection(Grasps.empty(), report, settings.gripper, None)
+    def _warm_up(self, detector: GraspDetector, settings: DetectorParameters) -> None:
+        """Detect once, unless the model already did so in this process.
+
+        Raises:
+            ModelError: the model cannot run on its device.
+        """
+        wanted = (detector.model, detector.device)
+        if wanted in self._warm or not settings.warm_up:
+            return
+        start, points = time.perf_counter(), made_up_cloud()
+        try:
+            detector.detect(points, settings.gripper, np.full(points.shape, 128, np.uint8))
+        except RuntimeError as error:
+            raise ModelError(f"model '{detector.model}' does not run on '{detector.device}': {error}") from error
+        self._warm.add(wanted)
+        self.get_logger().info(f"warm-up of {detector.model} took {time.perf_counter() - start:.1f} s")
+
+    def _announce(self, detector: GraspDetector) -> None:
+        self._in_use = detector.model, detector.device
+        self.health.facts = {"model": detector.model, "device": detector.device}
+        self.get_logger().info(f"model {detector.model} on {detector.device}")
+
+    def _nothing(self, gripper: Gripper, reason: str) -> Detection:
+        return Detection(Grasps.empty(), DetectionReport((), *self._in_use, reason), gripper, None)
 
     def _forget(self) -> None:
         self._last_cloud = None
+
+
+def _key(settings: DetectorParameters) -> tuple[object, ...]:
+    """What a detector is made of."""
+    return settings.model, settings.device, settings.seed, settings.max_grasps
 
 
 def _check_frame(header: Header, target_frame: str) -> None:

@@ -40,6 +40,8 @@ class Health:
         self._lock = threading.Lock()
         self.awaits: Callable[[], str] = lambda: awaits
         """Says what the node needs to have something to do."""
+        self.facts: Mapping[str, str] = {}
+        """What else to show, such as the model in use; replaced as a whole."""
         self._started = time.monotonic()
         self._last_input: float | None = None
         self._input, self._output = RateMeter(), RateMeter()
@@ -110,6 +112,7 @@ class Health:
             level, message = self._verdict(state, now, stale_after)
             values = {
                 "state": state,
+                **self.facts,
                 "input rate [Hz]": f"{self._input.rate(now):.2f}",
                 "output rate [Hz]": f"{self._output.rate(now):.2f}",
                 "received": str(self._received),

@@ -43,6 +43,8 @@ class Rule:
     """Least and greatest value; of each element in a list."""
     choices: Callable[[], Sequence[str]] | None = None
     """The texts that are accepted; asked for each time, because models can be added."""
+    suffix: str = ""
+    """Beside the choices, the path of any file with this suffix is accepted."""
     lengths: tuple[int, ...] | None = None
     """The numbers of elements that a list may have."""
     read_only: bool = False
@@ -52,7 +54,8 @@ class Rule:
         """The accepted values in words, empty when everything of the right type is accepted."""
         parts = []
         if self.choices is not None:
-            parts.append("one of " + ", ".join(f"'{c}'" for c in self.choices()))
+            path = f", or the path of a {self.suffix} file" if self.suffix else ""
+            parts.append("one of " + ", ".join(f"'{c}'" for c in self.choices()) + path)
         if self.lengths is not None:
             parts.append(" or ".join("an empty list" if n == 0 else f"{n} numbers" for n in self.lengths))
         if self.limits is not None:
@@ -66,11 +69,12 @@ def parameter(
     *,
     limits: tuple[float, float] | None = None,
     choices: Callable[[], Sequence[str]] | None = None,
+    suffix: str = "",
     lengths: tuple[int, ...] | None = None,
     read_only: bool = False,
 ) -> Any:
     """A field of a table; its ROS type follows from the default: bool, int, float, str, or a tuple of floats."""
-    rule = Rule(description, limits, choices, lengths, read_only)
+    rule = Rule(description, limits, choices, suffix, lengths, read_only)
     return dataclasses.field(default=default, metadata={_RULE: rule})
 
 
@@ -245,7 +249,7 @@ def _converted(kind: type, value: Any) -> Any:
 
 def _accepted(rule: Rule, value: Any) -> bool:
     if rule.choices is not None and value not in rule.choices():
-        return False
+        return rule.suffix != "" and value.endswith(rule.suffix)
     if rule.lengths is not None and len(value) not in rule.lengths:
         return False
     numbers = value if isinstance(value, tuple) else [value] if isinstance(value, int | float) else []

@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 
 import rclpy
@@ -70,8 +71,21 @@ def spin(node: GraspNode) -> None:
             continue
         except Exception as error:
             node.crash(error, "in the executor")
+    _settle(executor)
     with contextlib.suppress(RCLError, InvalidHandle):
         executor.shutdown(timeout_sec=0.0)
+
+
+def _settle(executor: MultiThreadedExecutor) -> None:
+    """Let callbacks that were handed to a thread in the last moment begin: shutting down would break them.
+
+    rclpy prints the error of any callback whose end nobody asks for.
+    """
+    futures, deadline = list(getattr(executor, "_futures", [])), time.monotonic() + _PATIENCE / 3
+    while time.monotonic() < deadline and not all(future.done() for future in futures):
+        time.sleep(0.01)
+    for future in futures:
+        future.exception()
 
 
 def _own_arguments(args: Sequence[str] | None) -> list[str]:

@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from regnet_core.detector import available_models
 from regnet_core.errors import InvalidInputError
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box
 from regnet_core.gripper import Gripper
+from regnet_core.models import DEFAULT_MODEL, available_models
 from regnet_core.policy import POLICIES, AnalyticPolicy, Policy, SelectionLimits, make_policy
 from regnet_core.preprocessing import PreprocessingConfig
+from regnet_core.weights import SUFFIX
 from regnet_ros.inputs import reliabilities
 from regnet_ros.parameters import NodeParameters, parameter
 
@@ -126,8 +127,21 @@ class DetectorParameters(SensorParameters):
     gripper_palm_depth: float = parameter(
         0.06, "How far the hand reaches behind the palm's face [m].", limits=Gripper.LIMITS["palm_depth"]
     )
-    model: str = parameter("antipodal", "What proposes grasps.", choices=available_models)
-    device: str = parameter("auto", "Where the model runs: auto, or a device such as cpu.")
+    model: str = parameter(
+        DEFAULT_MODEL,
+        "What proposes grasps. A change loads and tries the new model while the old one goes on working.",
+        choices=available_models,
+        suffix=SUFFIX,
+    )
+    device: str = parameter(
+        "auto", "Where the model runs: auto (a GPU where torch can use one, else the CPU), cpu, cuda or cuda:N."
+    )
+    threads: int = parameter(
+        0,
+        "Threads that a detection uses on the CPU; 0: one for each core that the process may use.",
+        limits=(0, 1024),
+        read_only=True,
+    )
     seed: int = parameter(
         0, "Seed of every random choice; the same cloud gives the same grasps.", limits=(0, 2**31 - 1)
     )
@@ -171,7 +185,9 @@ class DetectorParameters(SensorParameters):
         False, "Whether a change of these parameters is applied to the last cloud at once, not only to the next one."
     )
     warm_up: bool = parameter(
-        True, "Whether to detect once in a made-up cloud before the node becomes active.", read_only=True
+        True,
+        "Whether to detect once in a made-up cloud before the node becomes active and before another model takes over.",
+        read_only=True,
     )
 
     def check(self) -> None:
@@ -198,7 +214,15 @@ class DetectorParameters(SensorParameters):
 
     def same_result(self, other: DetectorParameters) -> bool:
         """Whether a detection with ``other`` gives the same."""
-        aside = ("autostart", "stale_after", "redetect_on_change", "warm_up", "input_reliability", "max_rate")
+        aside = (
+            "autostart",
+            "stale_after",
+            "redetect_on_change",
+            "warm_up",
+            "input_reliability",
+            "max_rate",
+            "threads",
+        )
         return all(
             getattr(self, f.name) == getattr(other, f.name) for f in fields(DetectorParameters) if f.name not in aside
         )

@@ -1,4 +1,4 @@
-"""A small made-up cloud to detect grasps in once, so that compiled code is ready before the first real cloud."""
+"""A made-up cloud to detect grasps in once, so that all code is compiled and loaded before the first real cloud."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 
 from regnet_core.geometry import Array
 
-_SPACING = 0.004
+_SPACING = 0.0025
+"""Gives as many points as networks take: what is prepared for this number need not be for the first real cloud."""
 
 
 def made_up_cloud() -> Array:

@@ -1,6 +1,6 @@
 """Judges a detector's grasps on the recordings in bags/ against the true meshes.
 
-    python tools/judge_bags.py [--bags bags] [--only clutter_10 ...] [--model antipodal] [--width 0.08] [--top 100]
+    python tools/judge_bags.py [--bags bags] [--only clutter_10 ...] [--model regnetv2-s] [--width 0.08] [--top 100]
 
 For each cloud: how many grasps, how many of the best ones are free of collision with the true meshes (python-fcl),
 their mean true antipodal score (ray casting), the largest distance between the contacts of any returned grasp, the
@@ -23,6 +23,7 @@ from regnet_core.detector import GraspDetector
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.geometry import matrix_from_quaternion, transform_points
 from regnet_core.gripper import Gripper
+from regnet_core.models import DEFAULT_MODEL
 
 HEADER = f"{'cloud':22s}  points grasps   free    s_q s_q free  1 obj  widest too wide    time"
 
@@ -51,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bags", type=Path, default=Path("bags"), help="folder of the bags")
     parser.add_argument("--only", nargs="*", default=["clutter_10", "clutter_20"], help="names of the bags to judge")
-    parser.add_argument("--model", default="antipodal")
+    parser.add_argument("--model", default=DEFAULT_MODEL)
     parser.add_argument("--width", type=float, default=0.08, help="gripper width [m]")
     parser.add_argument("--top", type=int, default=100, help="how many of the best grasps are judged")
     parser.add_argument("--seed", type=int, default=0)

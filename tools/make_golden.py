@@ -1,9 +1,9 @@
 """What the nodes must give for each bag, computed by the library alone: `python tools/make_golden.py`.
 
-Writes test/bags/golden/<bag>.json. Every cloud of a bag goes through the same two functions as in the nodes
-(regnet_core.preprocessing.preprocess and GraspDetector.detect) with the parameters of config/regnet.yaml, but without
-nodes, DDS or replay; test/ros/test_pipeline_live.py plays the bags to running nodes and compares. Run it again after a
-change that is meant to change results, and look at the difference before committing it.
+Writes test/bags/golden/<model>/<bag>.json. Every cloud of a bag goes through the same two functions as in the nodes
+(regnet_core.preprocessing.preprocess and GraspDetector.detect) with the parameters of config/regnet.yaml and on the
+CPU, but without nodes, DDS or replay; test/ros/test_pipeline_live.py plays the bags to running nodes and compares. Run
+it again after a change that is meant to change results, and look at the difference before committing it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from regnet_core import Detection, DetectorConfig, GraspDetector
 from regnet_core.geometry import Array, pose_matrix
 from regnet_core.grasps import Grasps
 from regnet_core.io.bags import BagCloud, read_bag_clouds
+from regnet_core.models import DEFAULT_MODEL
 from regnet_core.policy import select
 from regnet_core.preprocessing import preprocess
 from regnet_ros.parameters import NodeParameters, Table, checked_value
@@ -30,33 +31,37 @@ from regnet_ros.settings import DetectorParameters, PreprocessorParameters, Sele
 ROOT = Path(__file__).resolve().parents[1]
 GOLDEN = ROOT / "test" / "bags" / "golden"
 TOPIC = "/camera/depth/points"
-_BEST = 10
+MODELS = ("antipodal", DEFAULT_MODEL)
+_BEST = 30
 """So many of the best grasps of each cloud are kept."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the golden file of every bag, or of the bags named."""
+    """Write the golden file of every model and bag, or of those named."""
     parser = argparse.ArgumentParser(description="Compute what the nodes must give for each bag.")
     parser.add_argument("bags", nargs="*", help="names of folders in bags/; all when none is given")
-    names = parser.parse_args(arguments).bags or sorted(p.parent.name for p in ROOT.glob("bags/*/metadata.yaml"))
-    GOLDEN.mkdir(exist_ok=True)
-    for name in names:
-        content = golden(ROOT / "bags" / name)
-        target = GOLDEN / f"{name}.json"
-        target.write_text(json.dumps(content, indent=1) + "\n")
-        print(f"{target.relative_to(ROOT)}: {', '.join(str(cloud['grasps']) for cloud in content['clouds'])} grasps")
+    parser.add_argument("--model", action="append", help=f"default: {' and '.join(MODELS)}")
+    options = parser.parse_args(arguments)
+    names = options.bags or sorted(p.parent.name for p in ROOT.glob("bags/*/metadata.yaml"))
+    for model in options.model or MODELS:
+        for name in names:
+            content = golden(ROOT / "bags" / name, model)
+            target = GOLDEN / model / f"{name}.json"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(json.dumps(content, indent=1) + "\n")
+            print(f"{target.relative_to(ROOT)}: {', '.join(str(c['grasps']) for c in content['clouds'])} grasps")
     return 0
 
 
-def golden(bag: Path) -> dict[str, Any]:
+def golden(bag: Path, model: str) -> dict[str, Any]:
     """The content of one golden file."""
     clouds = list(read_bag_clouds(bag, TOPIC))
     more = {"sensor_pose": _sensor_pose(clouds[0])}
     preprocessor = _settings("preprocessor", PreprocessorParameters, **more)
-    detector = _settings("detector", DetectorParameters)
+    detector = _settings("detector", DetectorParameters, model=model, device="cpu")
     selector = _settings("selector", SelectorParameters)
     return {
-        "made_by": f"python tools/make_golden.py {bag.name}",
+        "made_by": f"python tools/make_golden.py --model {model} {bag.name}",
         "preprocessor_parameters": more,
         "clouds": [_expected(cloud, preprocessor, detector, selector) for cloud in clouds],
     }

@@ -5,9 +5,11 @@ python tools/parameter_tables.py [--check]
 
 import argparse
 import dataclasses
+import os
 import sys
 from pathlib import Path
 
+from regnet_core.weights import OWN_FOLDER
 from regnet_ros.parameters import NodeParameters, rules
 from regnet_ros.settings import DetectorParameters, PreprocessorParameters, SelectorParameters
 
@@ -24,6 +26,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="change nothing; exit with 1 if something is outdated")
     check = parser.parse_args().check
+    os.environ.pop(OWN_FOLDER, None)  # networks of one's own do not belong into the README
     old = README.read_text(encoding="utf-8")
     new = with_tables(old)
     if check:

@@ -43,7 +43,10 @@ FOREIGN_PATHS = (
     (r"/opt/python/cp\d+-cp\d+/include/python[\d.]+", "sysconfig.get_paths()['include']"),
     (r"/opt/python/cp\d+-cp\d+/lib/python[\d.]+/site-packages/numpy/_?core/include", "numpy.get_include()"),
 )
-NEEDED_MODULES = ("rclpy", "regnet_msgs.action", "regnet_msgs.msg", "regnet_msgs.srv", "regnet_core", "regnet_ros")
+NEEDED_MODULES = (
+    *("rclpy", "regnet_msgs.action", "regnet_msgs.msg", "regnet_msgs.srv"),
+    *("regnet_core", "regnet_core.nn.proposer", "regnet_ros"),
+)
 # Only for making and judging scenes. Open3D needs system libraries that a machine without a desktop may lack.
 DATA_MODULES = ("coacd", "fcl", "mujoco", "open3d")
 SYSTEM_LIBRARIES = {"libGL.so.1": "libgl1", "libX11.so.6": "libx11-6", "libgomp.so.1": "libgomp1"}

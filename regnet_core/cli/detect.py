@@ -24,6 +24,7 @@ from regnet_core.errors import InvalidInputError
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box
 from regnet_core.gripper import Gripper
+from regnet_core.models import DEFAULT_MODEL
 from regnet_core.policy import Policy, make_policy
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def detect(
     gripper_height: opt.Height = _HAND.height,
     gripper_thickness: opt.Thickness = _HAND.thickness,
     gripper_palm_depth: opt.PalmDepth = _HAND.palm_depth,
-    model: opt.Model = "antipodal",
+    model: opt.Model = DEFAULT_MODEL,
     device: opt.Device = "auto",
     seed: opt.Seed = 0,
     policy: opt.PolicyName = "heuristic",
@@ -111,19 +112,25 @@ def detect(
         approach_max_angle=_radians(approach_angle), min_quality=min_quality, target=_box("--target", target)
     )
     inputs = InputOptions(topic, message, all_messages, sensor_pose, viewpoint, _box("--crop", crop))
-    job = _Job(GraspDetector(model, device, seed), make_policy(policy), grippers, filters)
-    found = _run(job, files, inputs, Presentation(top, out, view, quiet, as_json))
+    presentation, chosen = Presentation(top, out, view, quiet, as_json), make_policy(policy)
+    # A network takes seconds to load: what is wrong with the command line is said before that.
+    total = check_inputs(files, inputs) * len(grippers)
+    _check_outputs(presentation, total)
+    job = _Job(GraspDetector(model, device, seed), chosen, grippers, filters)
+    found = _run(job, files, inputs, presentation, total)
     if not found:
         raise typer.Exit(NO_GRASP)
 
 
-def _run(job: _Job, files: Sequence[Path], inputs: InputOptions, presentation: Presentation) -> bool:
-    """Detect in every cloud with every gripper; whether any grasp was found."""
-    total = check_inputs(files, inputs) * len(job.grippers)
+def _check_outputs(presentation: Presentation, total: int) -> None:
     if presentation.out is not None:
         check_out(presentation.out, total)
     if presentation.view is not None:
         check_view(presentation.view)
+
+
+def _run(job: _Job, files: Sequence[Path], inputs: InputOptions, presentation: Presentation, total: int) -> bool:
+    """Detect in every cloud with every gripper, ``total`` times; whether any grasp was found."""
     collected, console, written = _Collected(), make_console(), list[Path]()
     with _progress(console, presentation) as progress:
         task = progress.add_task("detecting", total=total)

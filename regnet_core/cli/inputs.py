@@ -13,7 +13,7 @@ import numpy.typing as npt
 from regnet_core.errors import CloudError, InvalidInputError
 from regnet_core.geometry import Array, Box, pose_matrix, transform_points
 from regnet_core.io.bags import BagCloud, cloud_topics, is_bag, read_bag_clouds
-from regnet_core.io.files import read_cloud_file
+from regnet_core.io.files import check_cloud_file, read_cloud_file
 from regnet_core.io.pointcloud2 import Colors
 
 
@@ -64,7 +64,7 @@ def check_inputs(files: Sequence[Path], options: InputOptions) -> int:
     """Check that the options suit the files, and count the clouds that ``read_inputs`` will give.
 
     Raises:
-        InvalidInputError: they do not, or a bag cannot be read.
+        InvalidInputError: they do not, a file is missing or of an unknown kind, or a bag cannot be read.
     """
     if options.all_messages and options.message is not None:
         raise InvalidInputError("--message picks one cloud and --all takes every one: give only one of them")
@@ -72,7 +72,14 @@ def check_inputs(files: Sequence[Path], options: InputOptions) -> int:
     given = [name for name, value in for_bags.items() if value is not None]
     if given and not any(is_bag(file) for file in files):
         raise InvalidInputError(f"{given[0]} is for bags, and none of the inputs is a folder or an .mcap file")
-    return sum(len(_chosen_messages(file, options)[1]) if is_bag(file) else 1 for file in files)
+    return sum(_count(file, options) for file in files)
+
+
+def _count(file: Path, options: InputOptions) -> int:
+    if is_bag(file):
+        return len(_chosen_messages(file, options)[1])
+    check_cloud_file(file)
+    return 1
 
 
 def read_inputs(files: Sequence[Path], options: InputOptions) -> Iterator[CloudInput]:

@@ -63,8 +63,13 @@ PalmDepth = Annotated[
         rich_help_panel=_GRIPPER,
     ),
 ]
-Model = Annotated[str, typer.Option(help="What detects the grasps: see `regnet models`.")]
-Device = Annotated[str, typer.Option(help="Where it runs: auto or cpu.")]
+Model = Annotated[
+    str,
+    typer.Option(help="What detects the grasps: one of `regnet models`, or the path of a network's .safetensors."),
+]
+Device = Annotated[
+    str, typer.Option(help="Where it runs: auto, cpu, cuda or cuda:N. auto is a GPU where torch can use one.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same grasps.")]
 PolicyName = Annotated[
     str, typer.Option("--policy", help=f"What selects the grasp to execute: {' or '.join(POLICIES)}.")

@@ -37,18 +37,26 @@ def read_cloud_file(path: str | Path) -> CloudFile:
         CloudError: there is no such file, its suffix is unknown, or it does not hold a point cloud.
     """
     file = Path(path)
-    reader = _READERS.get(file.suffix.lower())
-    if reader is None:
-        known = ", ".join(_READERS)
-        raise CloudError(f"'{file.name}' has an unknown suffix '{file.suffix}'; point clouds are read from {known}")
-    if not file.is_file():
-        raise CloudError(f"there is no file '{file}'")
+    check_cloud_file(file)
     try:
-        return reader(file)
+        return _READERS[file.suffix.lower()](file)
     except CloudError as error:
         raise CloudError(f"'{file}': {error}") from error
     except Exception as error:  # the libraries raise whatever a corrupt file makes them stumble over
         raise CloudError(f"'{file}' cannot be read as {file.suffix}: {_in_one_line(error)}") from error
+
+
+def check_cloud_file(file: Path) -> None:
+    """Refuse what cannot be read as a point cloud, as far as that is seen without reading it.
+
+    Raises:
+        CloudError: there is no such file, or its suffix is unknown.
+    """
+    if file.suffix.lower() not in _READERS:
+        known = ", ".join(_READERS)
+        raise CloudError(f"'{file.name}' has an unknown suffix '{file.suffix}'; point clouds are read from {known}")
+    if not file.is_file():
+        raise CloudError(f"there is no file '{file}'")
 
 
 def _read_pcd(file: Path) -> CloudFile:

@@ -47,22 +47,38 @@ def load_network(path: Path, sha256: str | None = None) -> tuple[RegNet, dict[st
     """
     if not path.is_file():
         raise ModelError(f"there are no weights at '{path}'")
-    if sha256 is not None and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
-        raise ModelError(f"'{path}' is not the file that was published: its sha256 is not {sha256}")
     try:
+        if sha256 is not None and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+            raise ModelError(f"'{path}' is not the file that was published: its sha256 is not {sha256}")
         with safe_open(str(path), framework="pt") as file:
             facts = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors = {name: _whole(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
         if facts.get("format") != FORMAT:
-            raise ModelError(f"'{path}' has the format {facts.get('format')!r}; this version reads {FORMAT!r}")
-        network = RegNet(network_config(facts["network"]))
-        network.load_state_dict({name: _whole(value) for name, value in tensors.items()})
+            raise ModelError(
+                f"'{path}' holds no weights of a network: its format is {facts.get('format')!r}, not {FORMAT!r}"
+            )
+        network = _network_of(path, facts["network"], tensors)
         card: dict[str, Any] = json.loads(facts["card"])
-    except (SafetensorError, KeyError, RuntimeError, ValueError) as error:
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
         if isinstance(error, ModelError):
             raise
         raise ModelError(f"'{path}' holds no weights of a network: {error}") from error
     return network.eval(), card
+
+
+def _network_of(path: Path, name: str, tensors: Mapping[str, torch.Tensor]) -> RegNet:
+    broken = [key for key, value in tensors.items() if not value.isfinite().all()]
+    if broken:
+        raise ModelError(f"'{path}' cannot be used: {broken[0]} holds numbers that are not finite")
+    network = RegNet(network_config(name))
+    try:
+        network.load_state_dict(dict(tensors))
+    except RuntimeError as error:
+        first = str(error).splitlines()[1:2] or [str(error)]
+        raise ModelError(
+            f"'{path}' is of another version of the network '{name}' than this one: {first[0].strip()}"
+        ) from error
+    return network
 
 
 def _half(value: torch.Tensor) -> torch.Tensor:

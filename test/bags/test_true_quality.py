@@ -1,4 +1,4 @@
-"""What the detector promises on the recordings, judged on the true meshes that it never sees."""
+"""What the model antipodal promises on the recordings, judged on the true meshes that it never sees."""
 
 from functools import cache
 from pathlib import Path
@@ -28,7 +28,7 @@ def clouds(name: str) -> tuple[BagCloud, ...]:
 
 @cache
 def detected(name: str, width: float, points: int = 0) -> tuple[Grasps, ...]:
-    detector, gripper = GraspDetector(seed=0), Gripper(width=width)
+    detector, gripper = GraspDetector("antipodal", seed=0), Gripper(width=width)
     rng = np.random.default_rng(0)
     chosen = [rng.permutation(len(c.points))[: points or None] for c in clouds(name)]
     pairs = zip(clouds(name), chosen, strict=True)

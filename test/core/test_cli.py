@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import regnet_core
 from regnet_core import AnalyticPolicy, GraspDetector, Grasps, Gripper
 from regnet_core.cli import app, main
+from regnet_core.models import DEFAULT_MODEL
 
 BAGS = Path(__file__).parents[2] / "bags"
 BOX = shapes.single_view(shapes.box(0.05, 0.12, 0.10))
@@ -39,8 +40,13 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return code, captured.out, captured.err
 
 
+def run_detect(capsys, *arguments: object) -> tuple[int, str, str]:
+    """The same of `regnet detect` with the model antipodal, unless another one is named."""
+    return run(capsys, "detect", "--model", "antipodal", *arguments)
+
+
 def records(capsys, *arguments: object) -> list[dict]:
-    code, out, err = run(capsys, "detect", "--json", *arguments)
+    code, out, err = run_detect(capsys, "--json", *arguments)
     assert (code in (0, 3), err) == (True, "")
     document = json.loads(out)
     assert document["regnet_version"] == regnet_core.__version__
@@ -51,9 +57,9 @@ def records(capsys, *arguments: object) -> list[dict]:
 
 
 def test_the_tables_show_steps_grasps_and_the_selected_one(clouds, capsys):
-    code, out, err = run(capsys, "detect", clouds / "box.npz", "--top", 3)
+    code, out, err = run_detect(capsys, clouds / "box.npz", "--top", 3)
     assert (code, err) == (0, "")
-    detection = GraspDetector().detect(BOX)
+    detection = GraspDetector("antipodal").detect(BOX)
     selected = regnet_core.select(detection.grasps, regnet_core.HeuristicPolicy())
     assert f"{len(detection.grasps)} grasps" in out and f"{len(BOX)} points" in out
     for step in detection.report.steps:
@@ -64,14 +70,14 @@ def test_the_tables_show_steps_grasps_and_the_selected_one(clouds, capsys):
 
 
 def test_no_grasp_is_exit_code_3_with_the_reason(clouds, capsys):
-    code, out, err = run(capsys, "detect", clouds / "table.npy")
+    code, out, err = run_detect(capsys, clouds / "table.npy")
     assert (code, err) == (3, "")
     assert "no grasp: nothing stands on the support plane" in out
 
 
 def test_quiet_prints_nothing(clouds, capsys):
-    assert run(capsys, "detect", "-q", clouds / "box.npz") == (0, "", "")
-    assert run(capsys, "detect", "-q", clouds / "table.npy") == (3, "", "")
+    assert run_detect(capsys, "-q", clouds / "box.npz") == (0, "", "")
+    assert run_detect(capsys, "-q", clouds / "table.npy") == (3, "", "")
 
 
 # JSON and .npz
@@ -79,7 +85,7 @@ def test_quiet_prints_nothing(clouds, capsys):
 
 def test_json_holds_the_detection_in_plain_numbers(clouds, capsys):
     (record,) = records(capsys, clouds / "box.npz", "--policy", "analytic", "--seed", 4, "-w", 0.07)
-    detection = GraspDetector(seed=4).detect(BOX, Gripper(width=0.07))
+    detection = GraspDetector("antipodal", seed=4).detect(BOX, Gripper(width=0.07))
     grasps = detection.grasps
     assert record["source"] == {
         "file": str(clouds / "box.npz"),
@@ -104,14 +110,14 @@ def test_out_writes_what_json_prints_and_npz_that_grasps_load(clouds, capsys, tm
     printed = records(capsys, clouds / "box.npz", "--out", tmp_path / "out.json")
     written = json.loads((tmp_path / "out.json").read_text())["results"]
     assert written == printed
-    code, out, _ = run(capsys, "detect", clouds / "box.npz", "--out", tmp_path / "new" / "out.npz")
+    code, out, _ = run_detect(capsys, clouds / "box.npz", "--out", tmp_path / "new" / "out.npz")
     assert code == 0 and f"wrote {tmp_path / 'new' / 'out.npz'}" in out
     loaded = Grasps.load(tmp_path / "new" / "out.npz")
-    np.testing.assert_array_equal(loaded.translation, GraspDetector().detect(BOX).grasps.translation)
+    np.testing.assert_array_equal(loaded.translation, GraspDetector("antipodal").detect(BOX).grasps.translation)
 
 
 def test_an_empty_result_is_written_too(clouds, capsys, tmp_path):
-    assert run(capsys, "detect", "-q", clouds / "table.npy", "--out", tmp_path / "out.npz")[0] == 3
+    assert run_detect(capsys, "-q", clouds / "table.npy", "--out", tmp_path / "out.npz")[0] == 3
     assert len(Grasps.load(tmp_path / "out.npz")) == 0
 
 
@@ -126,7 +132,7 @@ def test_every_width_and_every_file_has_its_result(clouds, capsys):
         ("table.npy", 0.08, False),
         ("table.npy", 0.04, False),
     ]
-    assert run(capsys, "detect", "-q", clouds / "box.npz", "-w", 0.08, "-w", 0.04)[0] == 0
+    assert run_detect(capsys, "-q", clouds / "box.npz", "-w", 0.08, "-w", 0.04)[0] == 0
 
 
 def test_gripper_dimensions_reach_the_detector(clouds, capsys):
@@ -147,6 +153,16 @@ def test_filters_limit_the_grasps(clouds, capsys):
     assert one_end and min(g["translation"][1] for g in one_end) > -0.01 > min(g["translation"][1] for g in everything)
 
 
+def test_a_network_of_ones_own_detects_by_the_path_of_its_weights(clouds, capsys, untrained, tmp_path):
+    (record,) = records(capsys, clouds / "box.npz", "--model", untrained, "--device", "cpu")
+    expected = GraspDetector(untrained, "cpu").detect(BOX)
+    assert (record["model"], record["device"]) == (str(untrained), "cpu")
+    assert [step["kept"] for step in record["steps"]] == [step.kept for step in expected.report.steps]
+    np.testing.assert_array_equal([g["translation"] for g in record["grasps"]], expected.grasps.translation)
+    code, out, err = run_detect(capsys, clouds / "box.npz", "--model", untrained, "--device", "toaster")
+    assert (code, out) == (2, "") and "a network does not run on 'toaster' here" in err
+
+
 def test_crop_drops_points_before_detection(clouds, capsys):
     (record,) = records(capsys, clouds / "box.npz", "--crop", *(-0.2, -0.2, 0.5, 0.2, 0.2, 0.76))
     inside = (np.abs(BOX[:, :2]) <= 0.2).all(axis=1) & (BOX[:, 2] <= 0.76)
@@ -156,7 +172,7 @@ def test_crop_drops_points_before_detection(clouds, capsys):
 
 def test_the_sensor_pose_brings_a_camera_cloud_upright(clouds, capsys):
     (record,) = records(capsys, clouds / "camera.npy", "--sensor-pose", *CAMERA_POSE)
-    expected = GraspDetector().detect(BOX, viewpoint=CAMERA_POSE[:3]).grasps
+    expected = GraspDetector("antipodal").detect(BOX, viewpoint=CAMERA_POSE[:3]).grasps
     assert len(record["grasps"]) == pytest.approx(len(expected), rel=0.1)
     np.testing.assert_allclose(record["grasps"][0]["translation"], expected.translation[0], atol=0.03)
     assert 0.75 < record["grasps"][0]["translation"][2] < 0.93
@@ -172,10 +188,10 @@ def test_the_detector_is_told_where_the_camera_was(clouds, capsys, monkeypatch):
 
     monkeypatch.setattr(GraspDetector, "detect", recording)
     box, tilted = clouds / "box.npz", BAGS / "tilted_depth_only"
-    assert run(capsys, "detect", "-q", box)[0] == 0
-    assert run(capsys, "detect", "-q", box, "--viewpoint", 1, 2, 3)[0] == 0
-    assert run(capsys, "detect", "-q", clouds / "camera.npy", "--sensor-pose", *CAMERA_POSE)[0] == 0
-    assert run(capsys, "detect", "-q", tilted, "--crop", -0.5, -0.5, 0.6, 0.5, 0.5, 1.2)[0] == 0
+    assert run_detect(capsys, "-q", box)[0] == 0
+    assert run_detect(capsys, "-q", box, "--viewpoint", 1, 2, 3)[0] == 0
+    assert run_detect(capsys, "-q", clouds / "camera.npy", "--sensor-pose", *CAMERA_POSE)[0] == 0
+    assert run_detect(capsys, "-q", tilted, "--crop", -0.5, -0.5, 0.6, 0.5, 0.5, 1.2)[0] == 0
     camera = json.loads((tilted / "scene.json").read_text())["T_world_camera"][0]
     assert seen[:3] == [None, (1, 2, 3), CAMERA_POSE[:3]]
     np.testing.assert_allclose(seen[3], np.array(camera)[:3, 3], atol=1e-6)
@@ -206,7 +222,7 @@ def test_a_depth_camera_in_its_own_frame_is_turned_upright_by_the_bag(capsys):
 
 
 def test_view_writes_the_page_and_the_picture(clouds, capsys, tmp_path):
-    code, out, err = run(capsys, "detect", clouds / "box.npz", "-w", 0.08, "-w", 0.1, "--view", tmp_path / "box.html")
+    code, out, err = run_detect(capsys, clouds / "box.npz", "-w", 0.08, "-w", 0.1, "--view", tmp_path / "box.html")
     assert (code, err) == (0, "")
     assert f"wrote {tmp_path / 'box.html'}" in out and f"wrote {tmp_path / 'box.png'}" in out
     page = (tmp_path / "box.html").read_text()
@@ -216,7 +232,7 @@ def test_view_writes_the_page_and_the_picture(clouds, capsys, tmp_path):
 
 
 def test_a_png_alone_of_a_scene_without_grasps(clouds, capsys, tmp_path):
-    assert run(capsys, "detect", "-q", clouds / "table.npy", "--view", tmp_path / "table.png") == (3, "", "")
+    assert run_detect(capsys, "-q", clouds / "table.npy", "--view", tmp_path / "table.png") == (3, "", "")
     assert [file.name for file in tmp_path.iterdir()] == ["table.png"]
 
 
@@ -235,6 +251,7 @@ def test_a_png_alone_of_a_scene_without_grasps(clouds, capsys, tmp_path):
         ("gripper depth must be in", ["BOX", "--gripper-depth", 9]),
         ("'--gripper-width'", ["BOX", "-w", "wide"]),
         ("no model 'magic'; there are", ["BOX", "--model", "magic"]),
+        ("there are no weights at '/", ["BOX", "--model", "my.safetensors"]),
         ("not on 'abacus'", ["BOX", "--device", "abacus"]),
         ("no policy 'luck'; there are heuristic, analytic", ["BOX", "--policy", "luck"]),
         ("--crop: a box needs lower < upper", ["BOX", "--crop", 0, 0, 0, 0, 1, 1]),
@@ -258,7 +275,7 @@ def test_a_png_alone_of_a_scene_without_grasps(clouds, capsys, tmp_path):
 )
 def test_wrong_input_is_exit_code_2_with_one_line_on_stderr(message, arguments, clouds, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    code, out, err = run(capsys, "detect", *[clouds / "box.npz" if a == "BOX" else a for a in arguments])
+    code, out, err = run_detect(capsys, *[clouds / "box.npz" if a == "BOX" else a for a in arguments])
     assert (code, out) == (2, "")
     assert err.startswith("regnet: ") and message in err and err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -266,7 +283,7 @@ def test_wrong_input_is_exit_code_2_with_one_line_on_stderr(message, arguments, 
 
 def test_an_error_of_the_program_itself_is_exit_code_1_with_its_traceback(clouds, capsys, monkeypatch):
     monkeypatch.setattr(GraspDetector, "detect", lambda *_, **__: 1 / 0)
-    code, out, err = run(capsys, "detect", clouds / "box.npz")
+    code, out, err = run_detect(capsys, clouds / "box.npz")
     assert (code, out) == (1, "")
     assert "Traceback" in err and err.splitlines()[-1] == "regnet: internal error: ZeroDivisionError: division by zero"
 
@@ -274,7 +291,7 @@ def test_an_error_of_the_program_itself_is_exit_code_1_with_its_traceback(clouds
 def test_a_cloud_in_a_camera_frame_without_transform_is_doubted(capsys, monkeypatch):
     clouds = [cloud._replace(T_root_cloud=None, root_frame=cloud.frame_id) for cloud in one_tilted_cloud()]
     monkeypatch.setattr("regnet_core.cli.inputs.read_bag_clouds", lambda *_: iter(clouds))
-    code, _, err = run(capsys, "detect", "-q", BAGS / "tilted_depth_only", "--crop", -0.1, -0.1, 0, 0.1, 0.1, 0.1)
+    code, _, err = run_detect(capsys, "-q", BAGS / "tilted_depth_only", "--crop", -0.1, -0.1, 0, 0.1, 0.1, 0.1)
     assert code == 3
     assert err.startswith("regnet: warning: ") and "give --sensor-pose" in err and err.count("\n") == 1
 
@@ -289,6 +306,8 @@ def one_tilted_cloud():
 def test_version_models_and_help(capsys):
     assert run(capsys, "--version") == (0, f"regnet {regnet_core.__version__}\n", "")
     assert run(capsys, "models") == (0, "\n".join(regnet_core.available_models()) + "\n", "")
+    code, _, err = run(capsys, "models", "--card", "antipodal")
+    assert code == 2 and "there is no 'antipodal.md'" in err
     code, out, _ = run(capsys)
     assert code == 0 and "detect" in out and "models" in out
     code, _, err = run(capsys, "detekt")
@@ -299,6 +318,7 @@ def test_help_of_detect_explains_the_options_and_exit_codes():
     result = CliRunner().invoke(app, ["detect", "--help"], env={"COLUMNS": "200", "TERM": "dumb"})
     assert result.exit_code == 0
     text = " ".join(result.output.split())
+    assert f"[default: {DEFAULT_MODEL}]" in text
     assert "Exit codes: 0 grasps were found" in text and "--sensor-pose" in text and "0.03 to 0.16 m" in text
 
 
@@ -309,10 +329,10 @@ def test_the_real_process_keeps_stdout_for_results_and_its_exit_code_for_scripts
             [*command, *map(str, arguments)], capture_output=True, text=True, timeout=120, cwd=BAGS.parent
         )
 
-    done = process("detect", clouds / "box.npz", "--json")
+    done = process("detect", clouds / "box.npz", "--json", "--model", "antipodal")
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads(done.stdout)["results"][0]["grasps"]
-    assert process("detect", "-q", clouds / "table.npy").returncode == 3
+    assert process("detect", "-q", clouds / "table.npy", "--model", "antipodal").returncode == 3
     failed = process("detect", "missing.ply")
     assert (failed.returncode, failed.stdout) == (2, "")
     assert failed.stderr == "regnet: there is no file 'missing.ply'\n"

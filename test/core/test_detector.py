@@ -1,4 +1,4 @@
-"""GraspDetector on objects of known size, and its promises: order, limits, reasons, reproducibility."""
+"""GraspDetector on objects of known size, with the model antipodal: order, limits, reasons, reproducibility."""
 
 from typing import Any
 
@@ -16,8 +16,6 @@ from regnet_core import (
     GraspFilters,
     Gripper,
     InvalidInputError,
-    ModelError,
-    available_models,
 )
 from regnet_core.evaluation.ground_truth import GroundTruth
 from regnet_core.scene import SceneConfig
@@ -32,7 +30,7 @@ def moved(points: np.ndarray, x: float = 0.0, y: float = 0.0) -> np.ndarray:
 
 
 def detect(points: np.ndarray, width: float = 0.08, **settings: object) -> Detection:
-    return GraspDetector(seed=0).detect(points, Gripper(width=width), **settings)
+    return GraspDetector("antipodal", seed=0).detect(points, Gripper(width=width), **settings)
 
 
 BOX_MESH = trimesh.creation.box((0.05, 0.12, 0.10)).apply_translation((0, 0, 0.80))
@@ -98,9 +96,9 @@ def test_no_part_of_a_hand_is_in_the_table() -> None:
 
 
 def test_the_same_seed_gives_the_same_grasps_and_another_seed_others() -> None:
-    detector = GraspDetector(seed=3)
+    detector = GraspDetector("antipodal", seed=3)
     a, b = detector.detect(BOX).grasps, detector.detect(BOX).grasps
-    c = GraspDetector(seed=4).detect(BOX).grasps
+    c = GraspDetector("antipodal", seed=4).detect(BOX).grasps
     assert np.array_equal(a.translation, b.translation)
     assert np.array_equal(a.rotation, b.rotation)
     assert not np.array_equal(a.translation[:20], c.translation[:20])
@@ -195,13 +193,13 @@ def test_a_mask_of_the_wrong_length_is_refused() -> None:
 )
 def test_wrong_arguments_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidInputError):
-        GraspDetector().detect(**wrong)
+        GraspDetector("antipodal").detect(**wrong)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True])
 def test_wrong_seeds_are_refused(seed: Any) -> None:
     with pytest.raises(InvalidInputError, match="seed must be"):
-        GraspDetector(seed=seed)
+        GraspDetector("antipodal", seed=seed)
 
 
 def test_configurations_without_sense_are_refused() -> None:
@@ -224,7 +222,7 @@ def test_configurations_without_sense_are_refused() -> None:
     ],
 )
 def test_when_there_is_no_grasp_the_report_says_why(points: np.ndarray, config: SceneConfig, reason: str) -> None:
-    result = GraspDetector(config=DetectorConfig(scene=config)).detect(points)
+    result = GraspDetector("antipodal", config=DetectorConfig(scene=config)).detect(points)
     assert len(result.grasps) == 0
     assert reason in result.report.reason
 
@@ -245,7 +243,7 @@ def test_the_counts_of_the_steps_add_up() -> None:
 
 
 def test_max_grasps_keeps_the_best() -> None:
-    few = GraspDetector(config=DetectorConfig(max_grasps=7)).detect(BOX).grasps
+    few = GraspDetector("antipodal", config=DetectorConfig(max_grasps=7)).detect(BOX).grasps
     assert np.array_equal(few.quality, detect(BOX).grasps.quality[:7])
 
 
@@ -262,16 +260,6 @@ def test_the_seen_side_of_objects_cut_out_of_the_table_is_completed() -> None:
     best = result.grasps[:50]
     assert result.plane is None
     assert GroundTruth([BOX_MESH], None).collides(best, Gripper()).mean() <= 0.1
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [({"model": "magic"}, "no model 'magic'; there are antipodal"), ({"device": "tpu"}, "device 'cpu'")],
-)
-def test_unknown_models_and_devices_are_refused(wrong: dict[str, str], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        GraspDetector(**wrong)
-    assert "antipodal" in available_models()
 
 
 @pytest.mark.parametrize("wrong", [{"min_quality": 1.5}, {"approach_max_angle": 4.0}, {"approach_axis": (0, 0, 0)}])

@@ -39,8 +39,8 @@ SURROUNDINGS = {
 
 @pytest.mark.parametrize("name", SURROUNDINGS)
 def test_the_object_is_grasped_as_if_it_were_alone(name: str) -> None:
-    alone = GraspDetector().detect(OBJECT)
-    result = GraspDetector().detect(np.concatenate([OBJECT, SURROUNDINGS[name]]))
+    alone = GraspDetector("antipodal").detect(OBJECT)
+    result = GraspDetector("antipodal").detect(np.concatenate([OBJECT, SURROUNDINGS[name]]))
     assert result.plane is not None
     assert result.plane.offset == pytest.approx(0.75, abs=2e-3)
     best = result.grasps[:50]
@@ -53,8 +53,8 @@ def test_a_wall_is_still_an_obstacle() -> None:
     close = plate((-0.06, -0.4, 0.75), (-0.06, 0.4, 1.8), 60000)
     mesh = trimesh.creation.box((0.02, 0.8, 1.05)).apply_translation((-0.07, 0.0, 1.275))
     truth = GroundTruth([mesh], None)
-    freely = GraspDetector().detect(OBJECT).grasps
-    beside = GraspDetector().detect(np.concatenate([OBJECT, close])).grasps
+    freely = GraspDetector("antipodal").detect(OBJECT).grasps
+    beside = GraspDetector("antipodal").detect(np.concatenate([OBJECT, close])).grasps
     assert truth.collides(freely, Gripper()).mean() > 0.2
     assert truth.collides(beside, Gripper()).mean() < 0.02
 
@@ -73,7 +73,7 @@ def test_slender_objects_of_any_height_are_grasped(height: float) -> None:
     camera = np.array([0.8, 0.0, 0.75 + height + 0.5])
     post = shapes.single_view(shapes.box(0.05, 0.05, height, density=2e4), camera=camera)
     mesh = trimesh.creation.box((0.05, 0.05, height)).apply_translation((0, 0, 0.75 + height / 2))
-    best = GraspDetector().detect(post).grasps[:50]
+    best = GraspDetector("antipodal").detect(post).grasps[:50]
     assert len(best) == 50
     assert GroundTruth([mesh], TABLE).collides(best, Gripper()).mean() <= 0.1
 

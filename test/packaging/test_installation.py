@@ -127,6 +127,11 @@ class TestColcon:
         package = next(installed["regnet_msgs"].glob("lib/python3*/site-packages/regnet_msgs/msg/__init__.py"))
         assert "GraspArray" in package.read_text()
         assert list(installed["regnet_ros"].glob("lib/python3*/site-packages/regnet_core/py.typed"))
+        (weights,) = installed["regnet_ros"].glob("lib/python3*/site-packages/regnet_core/weights")
+        published = [path for path in (ROOT / "regnet_core" / "weights").iterdir() if path.suffix != ".py"]
+        assert {".md", ".safetensors"} <= {path.suffix for path in published}
+        for path in published:
+            assert path.is_dir() or (weights / path.name).read_bytes() == path.read_bytes()
 
     def test_links(self, tmp_path: Path) -> None:
         # colcon wants the packages that are depended on in the same place, built or, as here, pretended.

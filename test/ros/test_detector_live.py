@@ -1,4 +1,4 @@
-"""The detector as a process: results, parameters set from another process, service, lifecycle, repeatability."""
+"""The detector as a process, with the model antipodal: results, parameters set from outside, service, states."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Detector:
 
     def __init__(self, system: System) -> None:
         self.peer: Peer = system.peer
-        self.process: NodeProcess = system.start_node("detector", max_grasps=40, max_markers=10)
+        self.process: NodeProcess = system.start_node("detector", model="antipodal", max_grasps=40, max_markers=10)
         self.grasps = self.peer.listen(GraspArray, "grasps")
         self.poses = self.peer.listen(PoseArray, "grasp_poses")
         self.markers = self.peer.listen(MarkerArray, "grasp_markers")
@@ -93,7 +93,7 @@ def test_ranked_grasps_with_the_clouds_header_and_a_report(detector: Detector) -
 
 def test_the_node_adds_nothing_to_what_the_library_finds(detector: Detector) -> None:
     received = grasps_from_messages(detector.result().grasps)
-    expected = GraspDetector().detect(SCENE.astype(np.float32), Gripper()).grasps[:40]
+    expected = GraspDetector("antipodal").detect(SCENE.astype(np.float32), Gripper()).grasps[:40]
     np.testing.assert_allclose(received.translation, expected.translation, atol=1e-9)
     np.testing.assert_allclose(received.rotation, expected.rotation, atol=1e-9)
     np.testing.assert_allclose(received.quality, expected.quality)
@@ -140,7 +140,7 @@ def test_the_width_set_from_another_process_is_that_of_the_next_array(detector: 
         ("gripper_width", ParameterValue(type=ParameterType.PARAMETER_NOT_SET), "got nothing"),
         ("gripper_width", ParameterValue(type=200), "not a parameter's value"),
         ("gripper_depth", 3.0, "gripper_depth must be in [0.01, 0.2]; got 3"),
-        ("model", "nonsense", "model must be one of 'antipodal'"),
+        ("model", "nonsense", "'antipodal', 'random', or the path of a .safetensors file; got the text 'nonsense'"),
         ("device", "toaster", "not on 'toaster'"),
         ("approach_axis", [0.0, 0.0, 0.0], "approach_axis must be a direction"),
         ("workspace_min", [2000.0, 0.0, 0.0], "workspace_min must be 3 numbers, in [-1000, 1000]"),

@@ -82,7 +82,7 @@ def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType) 
         "target_frame": "base_link",
         "sensor_pose": "[0.4, 0, 1.2, -2.2, 0, 1.57]",
         "gripper_width": "0.06",
-        "model": "antipodal",
+        "model": "/run/weights.safetensors",
         "device": "cpu",
         "policy": "analytic",
         "execute": "true",
@@ -98,7 +98,8 @@ def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType) 
         found[name] = {key: checked_value(TABLES[name], key, value) for key, value in parameters.items()}
     assert found["preprocessor"]["sensor_pose"] == (0.4, 0.0, 1.2, -2.2, 0.0, 1.57)
     assert found["preprocessor"]["target_frame"] == "base_link"
-    assert found["detector"] == {"gripper_width": 0.06, "model": "antipodal", "device": "cpu", "autostart": False}
+    model = {"model": "/run/weights.safetensors", "device": "cpu"}
+    assert found["detector"] == {"gripper_width": 0.06, "autostart": False, **model}
     assert found["selector"] == {"policy": "analytic", "execute": True, "autostart": False}
 
 

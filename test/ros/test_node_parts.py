@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -16,10 +20,12 @@ from std_msgs.msg import Header
 from regnet_core.detector import GraspDetector
 from regnet_core.geometry import pose_matrix, quaternion_from_matrix
 from regnet_core.gripper import Gripper
+from regnet_core.ops.parallel import available_cores
 from regnet_core.report import StepReport
 from regnet_ros.frames import FrameError, SensorFrames
 from regnet_ros.health import Health, RateMeter
 from regnet_ros.mailbox import Mailbox
+from regnet_ros.threads import usable_cores
 from regnet_ros.warm_up import made_up_cloud
 
 NODE = cast("Node", None)  # a listener is made for a node only where no buffer is given
@@ -148,7 +154,42 @@ def test_an_unknown_frame_is_explained(frames: SensorFrames) -> None:
         frames.pose(header(""), "world", (), 0.1)
 
 
-def test_the_warm_up_cloud_has_grasps() -> None:
-    detection = GraspDetector().detect(made_up_cloud(), Gripper())
+def test_health_shows_what_the_node_says_of_itself() -> None:
+    health = Health(awaits="clouds")
+    health.facts = {"model": "antipodal", "device": "cpu"}
+    values = {pair.key: pair.value for pair in health.status("/node", "active", 60.0).values}
+    assert (values["model"], values["device"]) == ("antipodal", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("quota", "limit"),
+    [("max 100000\n", 64), ("150000 100000\n", 1), ("400000 100000\n", 4), ("50000 100000", 1), ("", 64)],
+)
+def test_the_quota_of_a_container_limits_the_threads(quota: str, limit: int, tmp_path: Path) -> None:
+    (tmp_path / "cpu.max").write_text(quota)
+    assert usable_cores(tmp_path / "cpu.max") == min(limit, available_cores())
+    assert usable_cores(tmp_path / "none") == available_cores()
+
+
+@pytest.mark.parametrize(
+    ("count", "given", "expected"), [(1, None, 1), (1, "2", 1), (0, "1", 1), (0, None, None)], ids=str
+)
+def test_torch_uses_the_threads_that_were_asked_for(count: int, given: str | None, expected: int | None) -> None:
+    program = (
+        f"from regnet_ros.threads import usable_cores, use_threads; use_threads({count}); import torch\n"
+        "print(torch.get_num_threads(), usable_cores())"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    environment |= {} if given is None else {"OMP_NUM_THREADS": given}
+    output = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    threads, cores = map(int, output.stdout.split())
+    assert threads == expected if expected else 1 <= threads <= cores  # MKL counts no hyper-threads
+
+
+def test_the_warm_up_cloud_has_grasps_and_as_many_points_as_a_network_takes() -> None:
+    assert len(made_up_cloud()) >= 25600
+    detection = GraspDetector("antipodal").detect(made_up_cloud(), Gripper())
     assert len(detection.grasps) > 0
     assert detection.plane is not None

@@ -26,7 +26,7 @@ class Chain:
         self.selected: Inbox = self.peer.listen(SelectedGrasp, "selected_grasp", latched=True)
         self.processes: list[NodeProcess] = [
             system.start_node("preprocessor", remap={"cloud": "prepared"}),
-            system.start_node("detector", target_frame="world"),
+            system.start_node("detector", model="antipodal", target_frame="world"),
             system.start_node("selector"),
         ]
         self._stamp = 1000

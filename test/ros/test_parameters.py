@@ -75,8 +75,16 @@ def test_lists_of_the_wrong_length_or_content_are_refused() -> None:
 def test_unknown_choices_are_refused_with_the_choices() -> None:
     with pytest.raises(ParameterError, match="one of 'heuristic', 'analytic'; got the text 'best'"):
         checked_value(SelectorParameters, "policy", "best")
-    with pytest.raises(ParameterError, match="one of 'antipodal'"):
-        checked_value(DetectorParameters, "model", "resnet")
+    for model in ("resnet", "weights/regnetv2-s.pth", ""):
+        with pytest.raises(
+            ParameterError, match=r"'antipodal', 'random', or the path of a \.safetensors file; got the"
+        ):
+            checked_value(DetectorParameters, "model", model)
+
+
+def test_a_model_may_be_the_path_of_a_file() -> None:
+    for model in ("/home/me/run 7/weights.safetensors", "weights.safetensors", "antipodal"):
+        assert checked_value(DetectorParameters, "model", model) == model
 
 
 @pytest.mark.parametrize(

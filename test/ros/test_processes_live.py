@@ -60,7 +60,11 @@ def test_two_signals_in_a_row(system: System) -> None:
         ("detector", "gripper_width:=0.5", "gripper_width must be in [0.03, 0.16]; got 0.5"),
         ("detector", "gripper_width:=0", "gripper_width must be in [0.03, 0.16]; got 0"),
         ("detector", "gripper_width:=wide", "gripper_width must be a number, in [0.03, 0.16]; got the text 'wide'"),
-        ("detector", "model:=nonsense", "model must be one of 'antipodal'"),
+        (
+            "detector",
+            "model:=nonsense",
+            "'antipodal', 'random', or the path of a .safetensors file; got the text 'nonsense'",
+        ),
         ("preprocessor", "sensor_pose:=[0.0, 1.0]", "sensor_pose must be an empty list or 6 numbers"),
         ("preprocessor", "sensor_pose:=[0, 1.0, 0, 0, 0, 0]", "write every number with a decimal point"),
         ("preprocessor", "target_frame:=''", "target_frame must be the name of a gravity-aligned frame"),
@@ -89,7 +93,7 @@ def test_an_unknown_parameter_is_pointed_out(system: System) -> None:
 def test_a_device_that_is_not_there_keeps_the_node_unconfigured_until_it_is_changed(system: System) -> None:
     process = system.start("detector", "--ros-args", "-p", "device:=toaster")
     status = system.peer.wait_for_status("detector", lambda s: "cannot configure" in s.message)
-    assert "not on 'toaster'" in status.message
+    assert "does not run on 'toaster' here" in status.message
     assert system.peer.state("detector") == "unconfigured"
     assert system.peer.set_parameter("detector", "device", "cpu").successful
     assert system.peer.change_state("detector", Transition.TRANSITION_CONFIGURE)
@@ -129,6 +133,13 @@ def test_the_nodes_ask_openmp_not_to_spin() -> None:
     )
     output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert output.strip() == "PASSIVE"
+
+
+def test_nodes_do_not_load_torch_before_they_need_it() -> None:
+    nodes = "regnet_ros.detector, regnet_ros.preprocessor, regnet_ros.selector"
+    script = f"import sys, {nodes}; print('torch' in sys.modules)"
+    output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == "False"
 
 
 def test_the_names_go_when_the_nodes_end(system: System) -> None:
