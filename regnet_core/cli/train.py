@@ -29,6 +29,9 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the checkpoint and the log.")],
     validation: Annotated[Path | None, typer.Option(help="Data set to validate on.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in --out.")] = False,
+    start: Annotated[
+        Path | None, typer.Option(help="Weights to start from, of another run.", rich_help_panel=_RECIPE)
+    ] = None,
     steps: Annotated[int, typer.Option(help="Batches in all.", rich_help_panel=_RECIPE)] = 20_000,
     batch: Annotated[int, typer.Option(help="Views in a batch.", rich_help_panel=_RECIPE)] = 6,
     points: Annotated[
@@ -66,7 +69,7 @@ def train(
     points = points or network_config(config).points
     recipe = Recipe(steps=steps, batch=batch, points=points, learning_rate=learning_rate, seed=seed)
     group, device = join_group(device)
-    run = Run(config, data, out, validation, device, workers, stop_after=60.0 * stop_after, group=group)
+    run = Run(config, data, out, validation, device, workers, stop_after=60.0 * stop_after, group=group, start=start)
     trainer = Trainer(run, recipe)
     if trainer.checkpoint.exists() and not resume:
         raise InvalidInputError(f"'{out}' holds a checkpoint: give --resume to go on, or another folder")

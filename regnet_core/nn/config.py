@@ -127,6 +127,8 @@ class NetworkConfig:
     """Where positive points come from: 1 all points, 2 the first set abstraction's centroids, 3 the second's, ..."""
     positives: int = 768
     """k1, how many positive points are taken from each cloud, at most."""
+    least_confidence: float = 0.0
+    """Points below this confidence are never positive, so that fewer than k1 may be."""
     spacing: float = 0.0
     """Grasps whose centres are nearer than this to that of a better grasp are left out [m]: the others are spread over
     the objects. 0 keeps them all, as the paper does."""
@@ -142,6 +144,7 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         check_range("points", self.points, 1)
         check_range("positives", self.positives, 1)
+        check_range("least_confidence", self.least_confidence, 0.0, 1.0)
         check_range("spacing", self.spacing, 0.0, 1.0, "m")
         check_range("shape_radius", self.shape_radius, 0.0, 0.1, "m")
         _check_channels("head", self.head)

@@ -85,6 +85,9 @@ class RegNet(nn.Module):
         features = self.backbone(clouds, hierarchy)
         confidence = self.score(features)
         if positives is None:
+            if cfg.least_confidence > 0.0:
+                sure = torch.sigmoid(confidence) >= cfg.least_confidence
+                eligible = sure if eligible is None else sure & eligible
             regions = select_regions(confidence, clouds, hierarchy, cfg.layer, cfg.positives, eligible)
         else:
             regions = regions_at(positives, clouds)

@@ -13,7 +13,6 @@ from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.precision import autocast
-from regnet_core.pointcloud import random_sample
 from regnet_core.proposer import Proposals
 from regnet_core.scene import Scene
 
@@ -42,7 +41,8 @@ class NetworkProposer:
         if not seen.any():
             return Proposals(Grasps.empty(), 0)
         rows = _around(scene.points, scene.objects.points[scene.objects.observed])
-        rows = rows[random_sample(len(rows), self.network.config.points, rng)]
+        # In random order: a ball query keeps the first points that it finds, and cameras give them row after row.
+        rows = rng.permutation(rows)[: self.network.config.points]
         eligible = _near(scene.points[rows], scene.objects.points[seen])
         if not eligible.any():
             return Proposals(Grasps.empty(), 0)

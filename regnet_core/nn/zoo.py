@@ -45,6 +45,7 @@ REGNETV2 = NetworkConfig()
 REGNETV2_S = NetworkConfig(
     name="regnetv2-s",
     points=16384,
+    least_confidence=0.02,
     abstractions=(
         AbstractionConfig(2048, 0.02, 32, (32, 32, 64)),
         AbstractionConfig(512, 0.06, 32, (64, 64, 128)),
@@ -76,7 +77,7 @@ NETWORKS = {
     REGNETV2.name: REGNETV2,
     **{f"regnetv2-layer{n}": REGNETV2.replace(name=f"regnetv2-layer{n}", layer=n) for n in (2, 3)},
     REGNETV2_S.name: REGNETV2_S,
-    **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n, spacing=0.02) for n in (2, 3)},
+    **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n, spacing=0.015) for n in (2, 3)},
     REGNET_V1.name: REGNET_V1,
     "regnetv2-s-no-width": REGNETV2_S.replace(name="regnetv2-s-no-width", width=False),
     **ABLATIONS,

@@ -18,8 +18,9 @@ from regnet_core.nn.network import RegNet
 from regnet_core.nn.results import Candidates, Proposed, Refined
 from regnet_core.training.recipe import Recipe
 
-_LEAST_WEIGHT = 0.02
-"""Weight of an object's point without any confidence, when positive points are drawn."""
+_LEAST_WEIGHT, _LEAST_ON_TABLE = 0.02, 0.002
+"""Weights of points without any confidence when positive points are drawn: of objects and fixtures, and of the rest."""
+_FIXTURE = -2
 
 
 Judge = Callable[[GraspBatch, Pose, torch.Tensor], torch.Tensor]
@@ -126,9 +127,11 @@ def _mean(worth: torch.Tensor | None) -> torch.Tensor:
 def draw_positives(batch: GraspBatch, count: int, generator: torch.Generator) -> torch.Tensor:
     """Rows (B * count,) of the batch's points, cloud after cloud, drawn by their confidence.
 
-    Points of objects without any confidence are drawn now and then, so that regions without a grasp are learnt as well.
+    Points without any confidence are drawn now and then, so that regions without a grasp are learnt as well: the wall
+    of a bin looks just like something to hold.
     """
-    weights = batch.confidence + _LEAST_WEIGHT * (batch.object_index >= 0) + 1e-6
+    solid = (batch.object_index >= 0) | (batch.object_index == _FIXTURE)
+    weights = batch.confidence + torch.where(solid, _LEAST_WEIGHT, _LEAST_ON_TABLE)
     rows = torch.multinomial(weights.cpu(), count, replacement=True, generator=generator)
     start = torch.arange(len(weights))[:, None] * weights.shape[1]
     return (rows + start).reshape(-1).to(batch.points.device)

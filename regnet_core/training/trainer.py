@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -15,9 +16,9 @@ import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from regnet_core.data.dataset import GraspBatch, GraspDataset, GraspSample, collate
-from regnet_core.errors import InvalidInputError
+from regnet_core.errors import InvalidInputError, ModelError
 from regnet_core.evaluation.metrics import MeanMetrics, mean_metrics
-from regnet_core.nn.files import save_network
+from regnet_core.nn.files import load_network, save_network
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.precision import autocast
 from regnet_core.nn.zoo import network_config
@@ -50,6 +51,7 @@ class Run:
         validation_samples: views judged in each.
         stop_after: time after which to save and stop [s].
         group: the processes that train together.
+        start: weights of the same kind of network to start from; random ones when None.
     """
 
     network: str
@@ -63,6 +65,7 @@ class Run:
     validation_samples: int = 16
     stop_after: float = math.inf
     group: Group = Group()
+    start: Path | None = None
 
 
 Report = Callable[[int, dict[str, float]], None]
@@ -84,6 +87,8 @@ class Trainer:
         torch.manual_seed(self.recipe.seed)
         self.device = torch.device(self.run.device)
         self.network = RegNet(network_config(self.run.network)).to(self.device)
+        if self.run.start is not None:
+            self._start_from(self.run.start)
         self.dataset = GraspDataset(
             self.run.data, self.recipe.points, seed=self.recipe.seed, between=self.recipe.between
         )
@@ -161,6 +166,15 @@ class Trainer:
             return recipe.learning_rate * (0.05 + 0.95 * done / rise)
         return recipe.learning_rate * max(0.5 * (1.0 + math.cos(math.pi * (done - rise) / (1.0 - rise))), 1e-3)
 
+    def _start_from(self, path: Path) -> None:
+        """Raises: ModelError, where the weights are of another kind of network."""
+        trained, _ = load_network(path)
+        try:
+            self.network.load_state_dict(trained.state_dict())
+        except RuntimeError as error:
+            name = trained.config.name
+            raise ModelError(f"'{path}' is of '{name}', and cannot start '{self.run.network}'") from error
+
     def _step(self, batch: GraspBatch) -> dict[str, float]:
         for group in self._optimiser.param_groups:
             group["lr"] = self.learning_rate()
@@ -198,6 +212,8 @@ class Trainer:
                 "scenes": len(self.dataset.archive),
             },
         }
+        if self.run.start is not None:
+            identity["start"] = hashlib.sha256(self.run.start.read_bytes()).hexdigest()
         back: dict[str, Any] = json.loads(json.dumps(identity))
         return back
 

@@ -1,5 +1,6 @@
 """The network behind the interface of all methods, and its files. The weights are those of a fresh network."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import torch
 
 from regnet_core.errors import ModelError
 from regnet_core.gripper import Gripper
+from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.files import load_network, save_network
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.proposer import NetworkProposer
+from regnet_core.nn.results import Output
 from regnet_core.nn.zoo import network_config
 from regnet_core.report import StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
@@ -53,6 +56,33 @@ def test_the_same_seed_gives_the_same_grasps(network: RegNet, scene: Scene) -> N
     first, again = (_propose(network, scene).grasps for _ in range(2))
     np.testing.assert_array_equal(first.translation, again.translation)
     np.testing.assert_array_equal(first.quality, again.quality)
+
+
+def test_the_network_sees_points_in_random_order(
+    network: RegNet, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cameras give them row after row; a ball query that keeps the first ones would see one side of each ball."""
+    seen: list[torch.Tensor] = []
+
+    def spy(clouds: Clouds, *args: object, **kwargs: object) -> Output:
+        seen.append(clouds.points)
+        return RegNet.forward(network, clouds, *args, **kwargs)  # type: ignore[arg-type]
+
+    proposer = NetworkProposer(network)
+    monkeypatch.setattr(network, "forward", spy)
+    order = np.lexsort(scene.points.T)
+    in_rows = dataclasses.replace(scene, points=scene.points[order], source=scene.source[order])
+    proposer.propose(in_rows, Gripper(), np.ones(len(scene.objects.points), bool), np.random.default_rng(0))
+    height = seen[0][:, 2]
+    rank_of_neighbours = np.corrcoef(np.arange(len(height)), height.numpy())[0, 1]
+    assert len(height) > 5000 and abs(rank_of_neighbours) < 0.05
+
+
+def test_points_of_too_little_confidence_are_never_positive(scene: Scene) -> None:
+    torch.manual_seed(0)
+    network = RegNet(network_config("regnetv2-s").replace(least_confidence=0.9)).eval()
+    nothing = _propose(network, scene)
+    assert len(nothing.grasps) == nothing.considered == 0
 
 
 @pytest.mark.parametrize("width", [0.03, 0.06, 0.1, 0.12, 0.16])

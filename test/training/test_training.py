@@ -15,12 +15,13 @@ from regnet_core.data.dataset import GraspDataset, collate
 from regnet_core.data.generation.run import generate
 from regnet_core.data.generation.settings import GenerationSettings
 from regnet_core.data.labels.candidates import CandidateConfig
-from regnet_core.errors import InvalidInputError
+from regnet_core.errors import InvalidInputError, ModelError
 from regnet_core.nn.anchors import Pose
 from regnet_core.nn.files import load_network
 from regnet_core.training.augmentation import augment
 from regnet_core.training.judging import BatchJudge
 from regnet_core.training.recipe import Augmentation, Recipe
+from regnet_core.training.step import draw_positives
 from regnet_core.training.trainer import Run, Trainer
 
 RECIPE = Recipe(steps=6, batch=2, points=1500, regions=24, learning_rate=3e-3)
@@ -146,3 +147,30 @@ def test_widths_in_between_have_labels_that_fit(data: Path) -> None:
         assert lower <= width < widths[number]
         assert (sample.contacts.abs() <= width / 2).all()
         assert ((sample.confidence >= 0.0) & (sample.confidence <= 1.0)).all()
+
+
+def test_walls_and_the_table_are_learnt_at_as_well(data: Path) -> None:
+    batch = collate([GraspDataset(data, 2000)[0]])
+    owner = torch.full_like(batch.object_index, -1)
+    owner[:, :1000] = -2
+    confidence = torch.zeros_like(batch.confidence)
+    confidence[:, 1900:] = 0.5
+    batch = dataclasses.replace(batch, object_index=owner, confidence=confidence)
+    rows = draw_positives(batch, 4000, torch.Generator().manual_seed(0))
+    walls, table, confident = (rows < 1000).sum(), ((rows >= 1000) & (rows < 1900)).sum(), (rows >= 1900).sum()
+    # Their weights are 1000 x 0.02, 900 x 0.002 and 100 x 0.502.
+    assert 1000 < walls < 1250 and 60 < table < 140 and 2650 < confident < 2950
+
+
+def test_a_run_starts_from_the_weights_of_another(data: Path, tmp_path: Path) -> None:
+    first = _trainer(data, tmp_path / "first", dataclasses.replace(RECIPE, steps=2))
+    first.train()
+    weights = tmp_path / "first" / "weights.safetensors"
+    second = _trainer(data, tmp_path / "second", start=weights)
+    for name, value in first.network.state_dict().items():
+        torch.testing.assert_close(second.network.state_dict()[name], value, atol=1e-3, rtol=1e-3, msg=name)
+    second.save()
+    with pytest.raises(InvalidInputError, match="is of another run: start was"):
+        _trainer(data, tmp_path / "second").resume()
+    with pytest.raises(ModelError, match="is of 'regnetv2-s', and cannot start 'regnetv2-s-no-width'"):
+        Trainer(Run("regnetv2-s-no-width", data, tmp_path, start=weights), RECIPE)
