@@ -1,4 +1,4 @@
-"""What the model antipodal promises on the recordings, judged on the true meshes that it never sees."""
+"""What the models promise on the recordings, judged on the true meshes that they never see."""
 
 from functools import cache
 from pathlib import Path
@@ -27,25 +27,27 @@ def clouds(name: str) -> tuple[BagCloud, ...]:
 
 
 @cache
-def detected(name: str, width: float, points: int = 0) -> tuple[Grasps, ...]:
-    detector, gripper = GraspDetector("antipodal", seed=0), Gripper(width=width)
+def detected(name: str, width: float, points: int = 0, model: str = "antipodal") -> tuple[Grasps, ...]:
+    detector, gripper = GraspDetector(model, seed=0), Gripper(width=width)
     rng = np.random.default_rng(0)
     chosen = [rng.permutation(len(c.points))[: points or None] for c in clouds(name)]
     pairs = zip(clouds(name), chosen, strict=True)
     return tuple(detector.detect(cloud.points[rows], gripper).grasps for cloud, rows in pairs)
 
 
-def share_free(width: float, points: int = 0) -> float:
+def share_free(width: float, points: int = 0, model: str = "antipodal") -> float:
     """Mean over the clouds of the share of the 100 best grasps that touch nothing."""
     gripper = Gripper(width=width)
-    free = [1 - truth(n).collides(g[:100], gripper).mean() for n in CLUTTER for g in detected(n, width, points)]
+    every = [(truth(name), grasps[:100]) for name in CLUTTER for grasps in detected(name, width, points, model)]
+    free = [1 - judge.collides(grasps, gripper).mean() for judge, grasps in every]
     return float(np.mean(free))
 
 
-def mean_score(width: float, points: int = 0) -> float:
+def mean_score(width: float, points: int = 0, model: str = "antipodal") -> float:
     """Mean over the clouds of the true antipodal score of the 100 best grasps, colliding ones included."""
     gripper = Gripper(width=width)
-    scores = [truth(n).antipodal(g[:100], gripper).score.mean() for n in CLUTTER for g in detected(n, width, points)]
+    every = [(truth(name), grasps[:100]) for name in CLUTTER for grasps in detected(name, width, points, model)]
+    scores = [judge.antipodal(grasps, gripper).score.mean() for judge, grasps in every]
     return float(np.mean(scores))
 
 
@@ -54,6 +56,14 @@ def test_the_best_grasps_are_free_and_antipodal(width: float, points: int) -> No
     assert min(len(g) for n in CLUTTER for g in detected(n, width, points)) >= 100
     assert share_free(width, points) >= 0.80
     assert mean_score(width, points) >= 0.70
+
+
+@pytest.mark.parametrize(("width", "points"), [(0.08, 0), (0.08, 25600), (0.12, 0)])
+def test_the_best_grasps_of_the_network_are_free_and_antipodal(width: float, points: int) -> None:
+    model = "regnetv2-s"
+    assert min(len(g) for n in CLUTTER for g in detected(n, width, points, model)) >= 300
+    assert share_free(width, points, model) >= 0.90
+    assert mean_score(width, points, model) >= 0.87
 
 
 @pytest.mark.parametrize("name", CLUTTER)
@@ -67,7 +77,8 @@ def test_a_narrow_gripper_closes_on_nothing_wider_than_itself(name: str) -> None
 
 
 def test_nothing_is_grasped_on_an_empty_table() -> None:
-    assert [len(grasps) for grasps in detected("empty_table", 0.08)] == [0, 0, 0, 0]
+    for model in ("antipodal", "regnetv2-s"):
+        assert [len(grasps) for grasps in detected("empty_table", 0.08, model=model)] == [0, 0, 0, 0]
 
 
 def test_most_objects_are_grasped_from_some_side() -> None:
