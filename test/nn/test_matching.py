@@ -317,8 +317,8 @@ def batch(contacts: tuple[float, float], closing: tuple[float, float, float], en
     return GraspBatch(
         points=none, colors=none, confidence=none, object_index=none, width=torch.tensor([0.08]), viewpoint=none,
         turn=none, translation=torch.zeros(1, 3), rotation=frame, score=torch.tensor([score]),
-        contacts=torch.tensor([contacts]), entry_point=entry * frame[:, :, 0], grasp_object=torch.tensor([3]), grasp_batch=torch.tensor([0]),
-        scene=(0,), view=(0,),
+        contacts=torch.tensor([contacts]), entry_point=entry * frame[:, :, 0], grasp_object=torch.tensor([3]),
+        grasp_batch=torch.tensor([0]), scene=(0,), view=(0,),
     )  # fmt: skip
 
 
