@@ -135,6 +135,18 @@ def voxel_downsample(points: Array, size: float) -> Index:
     return np.sort(first)
 
 
+AROUND = 0.10
+"""Networks see what lies so near to the objects' bounding box, when they are trained and when they detect [m]."""
+
+
+def surroundings(points: npt.NDArray[np.floating], objects: npt.NDArray[np.floating]) -> Index:
+    """Rows of the points (N, 3) in and near the bounding box of the objects' (K, 3) [m]; without objects all rows."""
+    if len(objects) == 0:
+        return np.arange(len(points))
+    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
+    return np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
+
+
 def random_sample(count: int, size: int, rng: np.random.Generator) -> Index:
     """``size`` of ``count`` indices without repetition, ascending; all of them when there are no more."""
     if count <= size:

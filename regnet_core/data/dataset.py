@@ -16,11 +16,10 @@ from regnet_core.data.labels.narrowing import confidence_between, fitting, kept_
 from regnet_core.data.labels.scene_labels import GraspLabels
 from regnet_core.data.storage.archive import SceneArchive, view_points
 from regnet_core.errors import InvalidInputError
+from regnet_core.pointcloud import surroundings
 
 POINTS = 25600
 """N of the paper."""
-AROUND = 0.10
-"""Detectors crop clouds to what lies so near to the objects' bounding box [m]; so do samples."""
 _FIXTURE = -2
 NARROWEST = 0.03
 """The narrowest gripper that samples are drawn for [m]."""
@@ -185,7 +184,7 @@ class GraspDataset(Dataset[GraspSample]):
             raise InvalidInputError(f"view {view} of scene {scene} has no points")
         points = view_points(seen, data, rows, columns)
         owner = data.object_index[rows, columns].astype(np.int64)
-        drawn = _drawn(_around(points, points[(owner >= 0) | (owner == _FIXTURE)]), self.points, rng)
+        drawn = _drawn(surroundings(points, points[(owner >= 0) | (owner == _FIXTURE)]), self.points, rng)
         points, rows, columns, owner = points[drawn], rows[drawn], columns[drawn], owner[drawn]
         confidence = data.confidence[:, rows, columns]
         width, labels, confidence = self._for_width(
@@ -225,14 +224,6 @@ class GraspDataset(Dataset[GraspSample]):
         kept = fitting(labels, width)
         of_object = np.append(kept_share(labels, kept, objects), 1.0)
         return width, labels[kept], confidence[w] * of_object[np.maximum(owner, -1)]
-
-
-def _around(points: np.ndarray, objects: np.ndarray) -> np.ndarray:
-    """Rows of the points (N, 3) in and near the bounding box of the objects' (K, 3); all of them without objects."""
-    if len(objects) == 0:
-        return np.arange(len(points))
-    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
-    return np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
 
 
 def _drawn(rows: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:

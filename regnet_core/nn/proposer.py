@@ -6,18 +6,17 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from regnet_core.geometry import Array, Box, Mask
+from regnet_core.geometry import Array, Mask
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.precision import autocast
+from regnet_core.pointcloud import surroundings
 from regnet_core.proposer import Proposals
 from regnet_core.scene import Scene
 
-AROUND = 0.10
-"""What lies so near to the objects' bounding box is shown to the network, the table first of all [m]."""
 _SAME = 0.004
 """A point this near to the surface of an object belongs to it [m]."""
 
@@ -40,7 +39,7 @@ class NetworkProposer:
         seen = focus & scene.objects.observed
         if not seen.any():
             return Proposals(Grasps.empty(), 0)
-        rows = _around(scene.points, scene.objects.points[scene.objects.observed])
+        rows = surroundings(scene.points, scene.objects.points[scene.objects.observed])
         # In random order: a ball query keeps the first points that it finds, and cameras give them row after row.
         rows = rng.permutation(rows)[: self.network.config.points]
         eligible = _near(scene.points[rows], scene.objects.points[seen])
@@ -58,12 +57,6 @@ class NetworkProposer:
         if self.network.config.colour and scene.colors is not None:
             colors = [torch.from_numpy(scene.colors[rows]).float().to(self.device)]
         return Clouds.of([points], [gripper.width], colors)
-
-
-def _around(points: Array, objects: Array) -> np.ndarray:
-    """Rows of the points in and near the bounding box of the objects."""
-    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
-    return np.flatnonzero(Box(tuple(lower.tolist()), tuple(upper.tolist())).contains(points))
 
 
 def _near(points: Array, surface: Array) -> Mask:
