@@ -7,14 +7,19 @@ from pathlib import Path
 
 import torch
 
+_UNITS = {"amx_bf16", "avx512_bf16"}
+"""Names, in Linux's list of a processor's features, of units that multiply bf16: up to 10 times faster than fp32 with
+AMX (Intel, from Sapphire Rapids), 5 times with AVX-512 (AMD, from Zen 4)."""
+
 
 @cache
 def has_fast_bf16() -> bool:
-    """Whether this CPU has AMX units for bf16; without them bf16 is slower than fp32."""
+    """Whether this CPU multiplies matrices of bf16 in hardware; where it does not, bf16 is slower than fp32."""
     try:
-        return "amx_bf16" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        flags = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
     except OSError:
         return False
+    return not _UNITS.isdisjoint(flags)
 
 
 def autocast(device: torch.device) -> torch.autocast:
