@@ -1,15 +1,14 @@
 """The layer that the whole network is made of: linear, batch normalisation, rectifier.
 
-In evaluation batch normalisation is folded into the linear part. Callers that compute W x in parts
-(set_abstraction.py, propagation.py, refinement.py) take W and the bias from ``linear_part`` and hand the sum to
-``finish``.
+In evaluation batch normalisation is folded into the linear part. Callers that compute W x in parts (propagation.py,
+pooling.py) take W and the bias from ``linear_part`` and hand the sum to ``finish``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import nn
@@ -41,20 +40,50 @@ class DenseLayer(nn.Module):
         super().__init__()
         self.linear = nn.Linear(inputs, outputs, bias=False)
         self.norm = nn.BatchNorm1d(outputs)
+        self._folded: dict[torch.dtype, LinearPart] = {}
         nn.init.kaiming_normal_(self.linear.weight, nonlinearity="relu")
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         return self.finish(functional.linear(rows, *self.linear_part()))
 
     def linear_part(self) -> LinearPart:
-        """W in training; in evaluation W and a bias that hold the normalisation too."""
+        """W in training; in evaluation W and a bias that hold the normalisation too.
+
+        Without gradients these are made once, in the type that the products are computed in, and kept until the mode,
+        the device or the numbers change: after changing parameters in place, call ``eval()`` again.
+        """
         if self.training:
             return LinearPart(self.linear.weight, None)
+        if torch.is_grad_enabled():
+            return self._fold()
+        device = self.linear.weight.device.type
+        autocast = torch.is_autocast_enabled(device)
+        dtype = torch.get_autocast_dtype(device) if autocast else self.linear.weight.dtype
+        if dtype not in self._folded:
+            with torch.autocast(device, enabled=False):
+                weight, bias = self._fold()
+                self._folded[dtype] = LinearPart(weight.to(dtype), None if bias is None else bias.to(dtype))
+        return self._folded[dtype]
+
+    def _fold(self) -> LinearPart:
         norm = self.norm
         mean, variance = norm.running_mean, norm.running_var
         assert mean is not None and variance is not None  # the layer keeps statistics
         scale = norm.weight * torch.rsqrt(variance + norm.eps)
         return LinearPart(self.linear.weight * scale[:, None], norm.bias - mean * scale)
+
+    def train(self, mode: bool = True) -> DenseLayer:
+        """Training or evaluation; either way what was folded before is forgotten."""
+        self._folded.clear()
+        return super().train(mode)
+
+    def _apply(self, fn: Any, recurse: bool = True) -> DenseLayer:
+        self._folded.clear()
+        return super()._apply(fn, recurse)
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        self._folded.clear()
+        super()._load_from_state_dict(*args, **kwargs)
 
     def finish(self, product: torch.Tensor) -> torch.Tensor:
         """The output, given what the linear part gives, which is overwritten."""

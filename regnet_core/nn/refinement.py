@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import torch
 from torch import nn
-from torch.nn import functional
 
 from regnet_core.gripper import Gripper
 from regnet_core.nn.anchors import RESIDUALS, Pose
@@ -18,12 +17,12 @@ from regnet_core.nn.clouds import Clouds, width_feature
 from regnet_core.nn.config import NetworkConfig, RefinementConfig
 from regnet_core.nn.heads import RARE
 from regnet_core.nn.hierarchy import Hierarchy
-from regnet_core.nn.layers import TILE, Mlp, in_one_go, output_layer
+from regnet_core.nn.layers import Mlp, output_layer
+from regnet_core.nn.pooling import PooledMlp
 from regnet_core.nn.results import Candidates, Refined, Regions, StagePrediction
 from regnet_core.ops.box_query import Boxes, box_query
-from regnet_core.ops.local_shape import turned, unique_entries
+from regnet_core.ops.grasp_frame import seen_from_grasps
 from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
-from regnet_core.ops.segments import segment_max
 
 _UNIT = 0.03
 """Unit of positions in the closing area [m]: half the depth of the paper's gripper."""
@@ -37,7 +36,7 @@ class RefineNetwork(nn.Module):
         self.config, self.refinement = config, refinement
         self.own_channels = 3 + config.point_channels
         carried = config.features if refinement.point_features else 0
-        self.mlp = Mlp(self.own_channels + carried, refinement.channels)
+        self.mlp = PooledMlp(self.own_channels + carried, refinement.channels)
         last = refinement.channels[-1] + config.features
         self.fusion = Mlp(last, refinement.fusion) if refinement.fusion else nn.Identity()
         last = refinement.fusion[-1] if refinement.fusion else last
@@ -76,38 +75,21 @@ class RefineNetwork(nn.Module):
         self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, features: torch.Tensor, clouds: Clouds
     ) -> torch.Tensor:
         """(G, C): the maximum over the points of each closing area."""
-        weight, bias = self.mlp.linear_part()
-        once = None
-        if self.refinement.point_features:
-            once = functional.linear(features, weight[:, self.own_channels :], bias)
 
-        def pooled(some: slice, near: Neighbourhoods) -> torch.Tensor:
-            own = self._own_features(Pose(*(value[some] for value in pose)), cloud[some], near, clouds)
-            if once is None:
-                product = functional.linear(own, weight, bias)
-            else:
-                product = torch.addmm(once.index_select(0, near.indices), own, weight[:, : self.own_channels].t())
-            return segment_max(self.mlp.finish(product), near.offsets)
+        def own(some: slice, near: Neighbourhoods) -> torch.Tensor:
+            return self._own_features(Pose(*(value[some] for value in pose)), cloud[some], near, clouds)
 
-        if in_one_go(len(near.indices)):
-            return pooled(slice(None), near)
-        return torch.cat([pooled(*tile) for tile in near.tiles(TILE)])
+        return self.mlp.pooled(own, self.own_channels, features if self.refinement.point_features else None, near)
 
     def _own_features(self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, clouds: Clouds) -> torch.Tensor:
         """(E, 3 + C): positions in the grasp frame, the width, the colours, and the local shapes in the grasp frame."""
-        proposal = near.centres()
-        offset = clouds.points.index_select(0, near.indices) - pose.translation.detach().index_select(0, proposal)
-        rotation = pose.rotation.detach().index_select(0, proposal)
-        # Not a matrix product, which autocast would compute in bfloat16.
-        local = (rotation * offset[:, :, None]).sum(dim=1) / _UNIT
-        parts = [local]
+        seen = seen_from_grasps(clouds.points, clouds.shapes, pose.rotation, pose.translation, near)
+        parts = [seen[:, :3] / _UNIT]
         if self.config.width:
-            parts.append(width_feature(clouds.width)[cloud[proposal], None])
+            parts.append(width_feature(clouds.width)[cloud[near.centres()], None])
         if self.config.colour and clouds.colors is not None:
             parts.append(clouds.colors.index_select(0, near.indices) * 2.0 - 1.0)
-        if clouds.shapes is not None:
-            parts.append(unique_entries(turned(clouds.shapes.index_select(0, near.indices), rotation)))
-        return torch.cat(parts, dim=1)
+        return torch.cat([*parts, seen[:, 3:]], dim=1)
 
 
 @torch.no_grad()

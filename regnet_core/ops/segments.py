@@ -21,7 +21,7 @@ def neighbour_max(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Ten
 
     A centre without neighbours gets 0. Of equal values the first one gets the gradient.
     """
-    if _has_kernel(values):
+    if has_kernel(values):
         return cast(torch.Tensor, _SegmentMax.apply(values, neighbours.indices, neighbours.offsets))
     return segment_max_in_torch(values.index_select(0, neighbours.indices), neighbours.offsets)
 
@@ -31,9 +31,19 @@ def segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
 
     An empty segment gets 0. Of equal values the first one gets the gradient.
     """
-    if _has_kernel(values):
+    if has_kernel(values):
         return cast(torch.Tensor, _SegmentMax.apply(values, None, offsets))
     return segment_max_in_torch(values, offsets)
+
+
+def rectified_segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
+    """The largest value of each channel in each segment, or 0 where none is above it -> (S, C); without gradients."""
+    if not has_kernel(values):
+        return torch.relu_(segment_max_in_torch(values, offsets))
+    top = values.new_zeros((len(offsets) - 1, values.shape[1]))
+    source, target, bounds = as_array(values), as_array(top), offsets.numpy()
+    for_each_range(lambda start, stop: _raise(source, bounds, start, stop, target), len(top), least=64)
+    return top
 
 
 def segment_max_in_torch(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
@@ -42,11 +52,12 @@ def segment_max_in_torch(values: torch.Tensor, offsets: torch.Tensor) -> torch.T
     return torch.where(offsets.diff()[:, None] > 0, top, torch.zeros((), dtype=values.dtype, device=values.device))
 
 
-def _has_kernel(values: torch.Tensor) -> bool:
+def has_kernel(values: torch.Tensor) -> bool:
+    """Whether compiled kernels work on such values."""
     return values.device.type == "cpu" and values.dtype in (torch.float32, torch.bfloat16)
 
 
-def _as_array(values: torch.Tensor) -> npt.NDArray[Any]:
+def as_array(values: torch.Tensor) -> npt.NDArray[Any]:
     """A view as numpy sees it; of bfloat16 the bits as int16."""
     values = values.detach().contiguous()
     return values.view(torch.int16).numpy() if values.dtype == torch.bfloat16 else values.numpy()
@@ -60,7 +71,7 @@ class _SegmentMax(torch.autograd.Function):
         segments, channels = len(offsets) - 1, values.shape[1]
         top = values.new_empty((segments, channels))
         rows = torch.empty((segments, channels), dtype=torch.int32)
-        source, target = _as_array(values), _as_array(top)
+        source, target = as_array(values), as_array(top)
         index = np.zeros(0, np.int64) if indices is None else indices.numpy()
         bounds, chosen = offsets.numpy(), rows.numpy()
         kernel = _max_of_bits if values.dtype == torch.bfloat16 else _max_of_floats
@@ -83,7 +94,7 @@ class _SegmentMax(torch.autograd.Function):
 def _backward_of_own(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch.Size) -> torch.Tensor:
     """Each row belongs to one segment: what reaches it is copied."""
     total = torch.zeros(shape, dtype=grad.dtype)
-    source, target = _as_array(grad), _as_array(total)
+    source, target = as_array(grad), as_array(total)
     for_each_range(lambda start, stop: _copy_back(source, rows, start, stop, target), len(rows), least=32)
     return total
 
@@ -146,6 +157,15 @@ def _max_of_bits(values, indices, gathered, offsets, begin, end, top, rows):  # 
         for c in range(channels):
             key = top[s, c]
             top[s, c] = key ^ ((key >> 15) & 0x7FFF)
+
+
+@compiled
+def _raise(values, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+    """Raise ``top``, which is nowhere below 0, to the largest values; bits of bfloat16 above 0 sort like integers."""
+    for s in range(begin, end):
+        for e in range(offsets[s], offsets[s + 1]):
+            for c in range(values.shape[1]):
+                top[s, c] = max(top[s, c], values[e, c])
 
 
 @compiled

@@ -10,7 +10,7 @@ from scenes import batch, tabletop
 
 from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.gripper import Gripper
-from regnet_core.nn import layers, refinement, set_abstraction
+from regnet_core.nn import layers, pooling, refinement
 from regnet_core.nn.anchors import CoderConfig
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig, RefinementConfig, RegionConfig
@@ -19,7 +19,7 @@ from regnet_core.nn.layers import DenseLayer
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.results import Output
 from regnet_core.nn.zoo import NETWORKS, WITHOUT_ANCHORS, network_config
-from regnet_core.ops import ball_query, box_query, farthest_points, interpolation, segments
+from regnet_core.ops import ball_query, box_query, farthest_points, grasp_frame, interpolation, segments
 
 TINY = NetworkConfig(
     name="tiny",
@@ -215,7 +215,8 @@ def test_the_functions_in_torch_give_what_the_kernels_give(monkeypatch: pytest.M
     monkeypatch.setattr(ball_query, "_queried_on_cpu", lambda *a: ball_query.ball_query_in_torch(*a[:-1]))
     monkeypatch.setattr(box_query, "_queried_on_cpu", lambda *a: box_query.box_query_in_torch(*a[:-1]))
     monkeypatch.setattr(interpolation, "three_nearest_on_cpu", interpolation.three_nearest_in_torch)
-    monkeypatch.setattr(segments, "_has_kernel", lambda values: False)
+    monkeypatch.setattr(segments, "has_kernel", lambda values: False)
+    monkeypatch.setattr(refinement, "seen_from_grasps", grasp_frame.seen_from_grasps_in_torch)
     with torch.no_grad():
         found = net(clouds, Gripper(height=0.03))
     assert torch.equal(found.proposed.hierarchy.levels[0].source, expected.proposed.hierarchy.levels[0].source)
@@ -228,7 +229,7 @@ def test_tiles_do_not_change_the_result(config: NetworkConfig, monkeypatch: pyte
     net, clouds = network(config), batch(1500, 300)
     with torch.no_grad():
         expected = net(clouds)
-        for module in (layers, set_abstraction, refinement):
+        for module in (layers, pooling):
             monkeypatch.setattr(module, "TILE", 37)
         found = net(clouds, hierarchy=expected.proposed.hierarchy)
     for a, b in zip(numbers(found), numbers(expected), strict=True):
@@ -345,3 +346,19 @@ WRONG: dict[str, Callable[[], object]] = {
 def test_configurations_that_make_no_sense_are_refused(message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         WRONG[message]()
+
+
+def test_folded_numbers_are_forgotten_when_the_numbers_change() -> None:
+    layer, rows = DenseLayer(3, 4).eval(), torch.randn(6, 3)
+    other = DenseLayer(3, 4).eval()
+    with torch.no_grad():
+        before, expected = layer(rows), other(rows)
+        assert torch.equal(layer(rows), before)
+        with torch.autocast("cpu", torch.bfloat16):
+            assert layer(rows).dtype == torch.bfloat16
+        assert layer(rows).dtype == torch.float32
+        layer.load_state_dict(other.state_dict())
+        assert torch.equal(layer(rows), expected)
+        layer.linear.weight.mul_(0.0)
+        assert torch.equal(layer.eval()(rows), torch.relu(layer.linear_part().bias).expand(6, 4))
+    assert layer(rows).requires_grad

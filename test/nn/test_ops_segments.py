@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from regnet_core.ops.neighbourhoods import Neighbourhoods
-from regnet_core.ops.segments import neighbour_max, segment_max, segment_max_in_torch
+from regnet_core.ops.segments import neighbour_max, rectified_segment_max, segment_max, segment_max_in_torch
 
 TYPES = [torch.float32, torch.bfloat16, torch.float64]
 
@@ -88,3 +88,12 @@ def test_bfloat16_does_what_float32_does() -> None:
 def test_values_that_are_not_contiguous() -> None:
     values = torch.randn(4, 6, generator=torch.Generator().manual_seed(0)).t()
     assert torch.equal(segment_max(values, torch.tensor([0, 6])), values.max(dim=0, keepdim=True).values)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_the_rectified_maximum_is_the_rectifier_of_the_maximum(dtype: torch.dtype) -> None:
+    values = torch.randn(200, 33, generator=torch.Generator().manual_seed(3)).to(dtype) - 1.0
+    offsets = torch.tensor([0, 0, 5, 6, 120, 120, 200])
+    expected = torch.relu(segment_max_in_torch(values, offsets))
+    assert torch.equal(rectified_segment_max(values, offsets), expected)
+    assert (expected == 0).any() and (expected > 0).any() and (expected[[0, 4]] == 0).all()
