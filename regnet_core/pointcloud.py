@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
+from regnet_core.ops.slabs import slab_counts, slab_moments
 from regnet_core.ops.voxel_grid import build_grid
 
 Index = npt.NDArray[np.int64]
@@ -279,7 +280,7 @@ def _best_plane(points: Array, rng: np.random.Generator, max_tilt: float, tolera
         return None
     normal, a = normalised(normal[usable]) * np.sign(normal[usable, 2:]), a[usable]
     offset = np.sum(normal * a, axis=1)
-    best = int(np.argmax((np.abs(points @ normal.T - offset) < tolerance).sum(axis=0)))
+    best = int(np.argmax(slab_counts(points, normal, offset, tolerance)))
     return Plane((float(normal[best, 0]), float(normal[best, 1]), float(normal[best, 2])), float(offset[best]))
 
 
@@ -298,11 +299,10 @@ def _area(points: Array, cell: float = 0.03) -> float:
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:
     """Least squares on the inliers, a few times."""
     for _ in range(4):
-        inliers = points[np.abs(plane.height(points)) < tolerance]
-        if len(inliers) < 10:
+        inliers = slab_moments(points, np.asarray(plane.normal), plane.offset, tolerance)
+        if inliers.points < 10:
             break
-        mean = inliers.mean(axis=0)
-        normal = np.linalg.eigh(np.cov((inliers - mean).T))[1][:, 0]
+        normal = np.linalg.eigh(inliers.covariance)[1][:, 0]
         normal = normal * np.sign(normal[2])
-        plane = Plane((float(normal[0]), float(normal[1]), float(normal[2])), float(normal @ mean))
+        plane = Plane((float(normal[0]), float(normal[1]), float(normal[2])), float(normal @ inliers.mean))
     return plane
