@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import inlined
+from regnet_core.ops.compiled import compiled, inlined
 
 _MAX_CELLS = 4_000_000
 """Clouds so wide that they would need more cells get larger ones."""
@@ -36,17 +36,48 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
     if len(points) == 0:
         points = np.zeros((0, 3))
         return VoxelGrid(points, np.zeros(0, np.int64), np.zeros(2, np.int64), np.zeros(3), np.ones(3, np.int64), cell)
-    origin, extent = points.min(axis=0), np.ptp(points, axis=0)
+    points = np.ascontiguousarray(points)
+    origin, extent = _bounds(points)
     shape = np.floor(extent / cell).astype(np.int64) + 1
     while float(np.prod(shape.astype(float))) > _MAX_CELLS:
         cell *= 1.5
         shape = np.floor(extent / cell).astype(np.int64) + 1
-    index = np.minimum(((points - origin) / cell).astype(np.int64), shape - 1)
-    key = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
-    order = np.argsort(key, kind="stable")
+    ordered, order = np.empty_like(points), np.empty(len(points), np.int64)
     start = np.zeros(int(np.prod(shape)) + 1, np.int64)
-    np.cumsum(np.bincount(key, minlength=int(np.prod(shape))), out=start[1:])
-    return VoxelGrid(np.ascontiguousarray(points[order]), order, start, origin, shape, float(cell))
+    _sort(points, origin, shape, cell, start, ordered, order)
+    return VoxelGrid(ordered, order, start, origin, shape, float(cell))
+
+
+@compiled
+def _bounds(points):  # type: ignore[no-untyped-def]
+    """The lower corner (3,) of the points' bounding box, and its extent (3,)."""
+    low, high = points[0].copy(), points[0].copy()
+    for p in range(1, len(points)):
+        for a in range(3):
+            low[a] = min(low[a], points[p, a])
+            high[a] = max(high[a], points[p, a])
+    return low, high - low
+
+
+@compiled
+def _sort(points, origin, shape, cell, start, ordered, order):  # type: ignore[no-untyped-def]
+    """A counting sort: points of one cell keep their order."""
+    keys = np.empty(len(points), np.int32)
+    for p in range(len(points)):
+        key = 0
+        for a in range(3):
+            key = key * shape[a] + min(int((points[p, a] - origin[a]) / cell), shape[a] - 1)
+        keys[p] = key
+        start[key + 1] += 1
+    for c in range(1, len(start)):
+        start[c] += start[c - 1]
+    free = start.copy()
+    for p in range(len(points)):
+        place = free[keys[p]]
+        free[keys[p]] += 1
+        order[place] = p
+        for a in range(3):
+            ordered[place, a] = points[p, a]
 
 
 @inlined
