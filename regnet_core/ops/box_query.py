@@ -77,7 +77,7 @@ def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbo
 
 @compiled
 def _search(pose, c, low, high, points, order, starts, origin, shape, cell, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near = np.empty(len(points), np.int32)
+    near = np.empty(len(points) + 1, np.int32)
     middle, half = np.empty(3), np.empty(3)
     for g in range(begin, end):
         r = pose[g]
@@ -91,18 +91,22 @@ def _search(pose, c, low, high, points, order, starts, origin, shape, cell, begi
         i0, i1, j0, j1, k0, k1 = cells_of_box(r, middle, half, origin, cell, shape)
         if k1 < k0:
             continue
+        xx, xy, xz = r[0, 0], r[1, 0], r[2, 0]
+        yx, yy, yz = r[0, 1], r[1, 1], r[2, 1]
+        zx, zy, zz = r[0, 2], r[1, 2], r[2, 2]
+        mx, my, mz = middle
+        hx, hy, hz = half
         n = 0
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
                 row = (i * shape[1] + j) * shape[2]
                 for p in range(starts[row + k0], starts[row + k1 + 1]):
-                    dx, dy, dz = points[p, 0] - c[g, 0], points[p, 1] - c[g, 1], points[p, 2] - c[g, 2]
-                    x = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-                    if not low[g, 0] < x < high[g, 0]:
-                        continue
-                    y = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-                    z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-                    if low[g, 1] < y < high[g, 1] and low[g, 2] < z < high[g, 2]:
-                        near[n] = order[p]
-                        n += 1
+                    dx, dy, dz = points[p, 0] - mx, points[p, 1] - my, points[p, 2] - mz
+                    # Each is written down, and stays if it is inside: branches would often be guessed wrong.
+                    near[n] = order[p]
+                    n += (
+                        (abs(xx * dx + xy * dy + xz * dz) < hx)
+                        & (abs(yx * dx + yy * dy + yz * dz) < hy)
+                        & (abs(zx * dx + zy * dy + zz * dz) < hz)
+                    )
         keep_first(near, n, g, counts, found)
