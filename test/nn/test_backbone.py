@@ -3,11 +3,11 @@
 import dataclasses
 from collections.abc import Callable
 
-import padded
 import pytest
 import torch
 from scenes import batch, tabletop
 
+from benchmarks import padded
 from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.gripper import Gripper
 from regnet_core.nn import layers, pooling, refinement

@@ -3,12 +3,12 @@
 from collections import Counter
 from itertools import product
 
-import padded
 import pytest
 import torch
 from scenes import batch
 from torch import nn
 
+from benchmarks import padded
 from regnet_core.errors import ModelError
 from regnet_core.gripper import Gripper
 from regnet_core.nn.config import NetworkConfig

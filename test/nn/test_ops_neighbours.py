@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from padded import padded_ball_query, plain_farthest_points, plain_interpolation
 from scenes import tabletop
 from scipy.spatial.transform import Rotation
 
+from benchmarks.padded import padded_ball_query, plain_farthest_points, plain_interpolation
 from regnet_core.errors import InvalidInputError
 from regnet_core.ops.ball_query import ball_query, ball_query_in_torch, point_grid
 from regnet_core.ops.box_query import Boxes, box_query, box_query_in_torch
