@@ -34,6 +34,7 @@ PARAMETERS: dict[str, tuple[tuple[str, ...], type, str]] = {
     ),
     "device": (("detector",), str, "where the model runs: auto, cpu, cuda or cuda:N"),
     "policy": (("selector",), str, "how grasps are scored: heuristic or analytic"),
+    "policy_file": (("selector",), str, "constants of the analytic policy: baxter, panda, paper or a .yaml file"),
     "execute": (("selector",), bool, "whether selected grasps are sent to the action execute_grasp"),
     "use_sim_time": (NODES, bool, "whether time comes from /clock"),
     "autostart": (NODES, bool, "false: the nodes wait for lifecycle transitions"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,6 +17,10 @@ from regnet_msgs.msg import GraspArray, SelectedGrasp
 from regnet_core.grasps import Grasps
 
 ACTION = "execute_grasp"
+_PATIENCE = 10.0
+"""An executor that has neither accepted nor rejected a goal after so long has lost it [s]."""
+_ASK_EVERY = 2.0
+"""How often an executor is asked whether it still knows the goal that it works on, at most [s]."""
 
 
 class Candidates(NamedTuple):
@@ -57,14 +62,35 @@ class Execution:
         self._failed: list[int] = []
         self._allowed = 0
         self._goal: Any = None
+        self._sent = self._asked = 0.0
 
     @property
     def under_way(self) -> bool:
-        """Whether a grasp is being executed. An executor that has gone ends its execution."""
+        """Whether a grasp is being executed. An executor that has gone, or was started again, ends its execution."""
         with self._lock:
-            if self._candidates is not None and not self._client.server_is_ready():
-                self._give_up(f"the action server {self._name} went away during the execution")
+            if self._candidates is not None:
+                self._look_after()
             return self._candidates is not None
+
+    def _look_after(self) -> None:
+        """End an execution that nobody works on any more.
+
+        A killed executor is not missed for a while, and another one may have taken its place by then: it answers, when
+        asked, that it does not know the goal.
+        """
+        now = time.monotonic()
+        if not self._client.server_is_ready():
+            self._give_up(f"the action server {self._name} went away during the execution")
+        elif self._goal is None and now - self._sent > _PATIENCE:
+            self._give_up(f"the action server {self._name} did not answer within {_PATIENCE:g} s")
+        elif self._goal is not None and now - self._asked > _ASK_EVERY:
+            self._asked, goal = now, self._goal
+            goal.get_result_async().add_done_callback(lambda done: self._told(goal, done.result()))
+
+    def _told(self, goal: Any, answer: Any) -> None:
+        with self._lock:
+            if goal is self._goal and answer.status == GoalStatus.STATUS_UNKNOWN:
+                self._give_up(f"the action server {self._name} was started again during the execution")
 
     def start(self, candidates: Candidates, first: SelectedGrasp, attempts: int) -> None:
         """Send ``first``; when it is rejected or fails, the next choice, over at most ``attempts`` grasps."""
@@ -93,6 +119,7 @@ class Execution:
 
     def _send(self, selected: SelectedGrasp) -> None:
         run, rank = self._run, int(selected.rank)
+        self._goal, self._sent = None, time.monotonic()
         future = self._client.send_goal_async(ExecuteGrasp.Goal(grasp=selected))
         future.add_done_callback(lambda done: self._answered(run, rank, done.result()))
 
@@ -105,12 +132,15 @@ class Execution:
             if goal is None or not goal.accepted:
                 self._next(rank, "rejected by the executor")
                 return
-            self._goal = goal
+            self._goal, self._asked = goal, time.monotonic()
         goal.get_result_async().add_done_callback(lambda done: self._finished(run, rank, done.result()))
 
     def _finished(self, run: int, rank: int, answer: Any) -> None:
         with self._lock:
             if run != self._run:
+                return
+            if answer.status == GoalStatus.STATUS_UNKNOWN:
+                self._give_up(f"the action server {self._name} was started again during the execution")
                 return
             self._goal = None
             result = answer.result

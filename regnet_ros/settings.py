@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 from regnet_core.errors import InvalidInputError
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box
 from regnet_core.gripper import Gripper
 from regnet_core.models import DEFAULT_MODEL, available_models
+from regnet_core.policies import SUFFIX as POLICY_SUFFIX
+from regnet_core.policies import load_policy, policy_names
 from regnet_core.policy import POLICIES, AnalyticPolicy, Policy, SelectionLimits, make_policy
 from regnet_core.preprocessing import PreprocessingConfig
+from regnet_core.robots.names import ROBOT_NAMES
 from regnet_core.weights import SUFFIX
 from regnet_ros.inputs import reliabilities
 from regnet_ros.parameters import NodeParameters, parameter
@@ -26,6 +30,14 @@ _LOWEST, _HIGHEST = (-FAR,) * 3, (FAR,) * 3
 
 def _policies() -> Sequence[str]:
     return tuple(POLICIES)
+
+
+def _policy_files() -> Sequence[str]:
+    return ("", *policy_names())
+
+
+def _robots() -> Sequence[str]:
+    return ROBOT_NAMES
 
 
 def _box(name: str, lower: tuple[float, ...], upper: tuple[float, ...]) -> Box | None:
@@ -237,6 +249,12 @@ class SelectorParameters(NodeParameters):
     quality_offset: float = parameter(-0.0587, "Constant of the analytic policy.", limits=_SPAN)
     slope: float = parameter(10.1244, "Constant of the analytic policy.", limits=_SPAN)
     midpoint: float = parameter(0.6103, "Constant of the analytic policy.", limits=_SPAN)
+    policy_file: str = parameter(
+        "",
+        "Constants of the analytic policy for a robot, as regnet calibrate writes them; empty: the parameters'.",
+        choices=_policy_files,
+        suffix=POLICY_SUFFIX,
+    )
     approach_axis: tuple[float, ...] = parameter(
         (0.0, 0.0, -1.0), "Axis of the cone of approach directions that the robot can take.", limits=_SPAN, lengths=(3,)
     )
@@ -263,7 +281,7 @@ class SelectorParameters(NodeParameters):
             raise InvalidInputError(
                 f"reach_min must be less than reach_max, got {self.reach_min:g} and {self.reach_max:g} m"
             )
-        _ = self.limits, self.make_policy(self.policy)
+        _ = self.limits, self.make_policy(AnalyticPolicy.name)
 
     @property
     def limits(self) -> SelectionLimits:
@@ -278,17 +296,83 @@ class SelectorParameters(NodeParameters):
         )
 
     def make_policy(self, name: str) -> Policy:
-        """The policy of that name with the constants of the parameters.
+        """The policy of that name with the constants of the policy file or of the parameters.
 
         Raises:
-            InvalidInputError: there is no such policy.
+            InvalidInputError: there is no such policy, or the policy file cannot be used.
         """
-        if name != AnalyticPolicy.name:
-            return make_policy(name)
-        return make_policy(
-            name,
-            quality_gain=self.quality_gain,
-            quality_offset=self.quality_offset,
-            slope=self.slope,
-            midpoint=self.midpoint,
+        return self._analytic if name == AnalyticPolicy.name else make_policy(name)
+
+    @cached_property
+    def _analytic(self) -> AnalyticPolicy:
+        """Read once: a file that changes is read again when any parameter is set."""
+        if self.policy_file:
+            return load_policy(self.policy_file).policy
+        return AnalyticPolicy(self.quality_gain, self.quality_offset, self.slope, self.midpoint)
+
+
+@dataclass(frozen=True)
+class ExecutorParameters(NodeParameters):
+    """Parameters of the executor."""
+
+    stale_after: float = parameter(
+        60.0, "After how long without an image of its camera the diagnostics report STALE [s].", limits=(0.1, 3600.0)
+    )
+    robot: str = parameter("baxter", "The robot of the simulated cell.", choices=_robots, read_only=True)
+    gripper_width: float = parameter(
+        0.08, "W: largest opening of the jaw [m].", limits=Gripper.LIMITS["width"], read_only=True
+    )
+    gripper_depth: float = parameter(
+        0.06, "D: length of the fingers [m].", limits=Gripper.LIMITS["depth"], read_only=True
+    )
+    gripper_height: float = parameter(
+        0.010,
+        "H: extent of fingers and palm across closing and approach direction [m].",
+        limits=Gripper.LIMITS["height"],
+        read_only=True,
+    )
+    gripper_thickness: float = parameter(
+        0.010,
+        "T: thickness of a finger along the closing direction [m].",
+        limits=Gripper.LIMITS["thickness"],
+        read_only=True,
+    )
+    gripper_palm_depth: float = parameter(
+        0.06,
+        "How far the hand reaches behind the palm's face [m].",
+        limits=Gripper.LIMITS["palm_depth"],
+        read_only=True,
+    )
+    objects: int = parameter(5, "How many objects the bin is filled with.", limits=(0, 20), read_only=True)
+    seed: int = parameter(0, "Seed of the objects and of the camera's noise.", limits=(0, 2**31 - 1), read_only=True)
+    world_frame: str = parameter("world", "The frame of the cell, z up, that grasps must be in.", read_only=True)
+    camera_frame: str = parameter("camera_depth_optical_frame", "The frame of the camera's clouds.", read_only=True)
+    camera_rate: float = parameter(
+        1.0, "How often the camera takes an image while the robot waits [Hz].", limits=(0.05, 30.0)
+    )
+    speed: float = parameter(
+        1.0,
+        "Simulated seconds in a second while the robot moves; 0: as many as the machine can.",
+        limits=(0.0, 1000.0),
+    )
+    state_file: str = parameter(
+        "",
+        "Where the objects' places are kept (.npz) for a node that is started again; empty: nowhere.",
+        read_only=True,
+    )
+
+    def check(self) -> None:
+        """Refuse a gripper that cannot be, frames without names and a state file of another kind."""
+        _ = self.gripper
+        for name in ("world_frame", "camera_frame"):
+            if not getattr(self, name).strip("/ "):
+                raise InvalidInputError(f"{name} must be the name of a frame, it is empty")
+        if self.state_file and not self.state_file.endswith(".npz"):
+            raise InvalidInputError(f"state_file must end in .npz, got '{self.state_file}'")
+
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper's parameters as regnet_core takes them."""
+        return Gripper(
+            self.gripper_width, self.gripper_depth, self.gripper_height, self.gripper_thickness, self.gripper_palm_depth
         )

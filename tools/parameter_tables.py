@@ -1,4 +1,4 @@
-"""Writes the tables of the nodes' parameters into README.md, between the markers that name each node.
+"""Writes the tables of the nodes' parameters into README.md and docs/, between the markers that name each node.
 
 python tools/parameter_tables.py [--check]
 """
@@ -11,36 +11,42 @@ from pathlib import Path
 
 from regnet_core.weights import OWN_FOLDER
 from regnet_ros.parameters import NodeParameters, rules
-from regnet_ros.settings import DetectorParameters, PreprocessorParameters, SelectorParameters
+from regnet_ros.settings import DetectorParameters, ExecutorParameters, PreprocessorParameters, SelectorParameters
 
-README = Path(__file__).resolve().parent.parent / "README.md"
-TABLES: dict[str, type[NodeParameters]] = {
-    "preprocessor": PreprocessorParameters,
-    "detector": DetectorParameters,
-    "selector": SelectorParameters,
+ROOT = Path(__file__).resolve().parent.parent
+TABLES: dict[str, dict[str, type[NodeParameters]]] = {
+    "README.md": {
+        "preprocessor": PreprocessorParameters,
+        "detector": DetectorParameters,
+        "selector": SelectorParameters,
+    },
+    "docs/executor.md": {"executor": ExecutorParameters},
 }
+"""File: the nodes whose tables it has."""
 
 
 def main() -> int:
-    """Update the README, or with --check only say whether it is up to date."""
+    """Update the files, or with --check only say whether they are up to date."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="change nothing; exit with 1 if something is outdated")
     check = parser.parse_args().check
-    os.environ.pop(OWN_FOLDER, None)  # networks of one's own do not belong into the README
-    old = README.read_text(encoding="utf-8")
-    new = with_tables(old)
-    if check:
-        return int(old != new)
-    README.write_text(new, encoding="utf-8")
-    return 0
+    os.environ.pop(OWN_FOLDER, None)  # networks of one's own do not belong into the tables
+    outdated = 0
+    for name, tables in TABLES.items():
+        old = (ROOT / name).read_text(encoding="utf-8")
+        new = with_tables(old, name, tables)
+        outdated |= old != new
+        if not check:
+            (ROOT / name).write_text(new, encoding="utf-8")
+    return int(check and outdated)
 
 
-def with_tables(text: str) -> str:
-    """The README's text with every table as the code has it."""
-    for node, table in TABLES.items():
+def with_tables(text: str, name: str, tables: dict[str, type[NodeParameters]]) -> str:
+    """A file's text with every table as the code has it."""
+    for node, table in tables.items():
         begin, end = f"<!-- parameters of {node} -->", f"<!-- end of {node} -->"
         if begin not in text or end not in text:
-            raise SystemExit(f"README.md lacks the markers '{begin}' and '{end}'")
+            raise SystemExit(f"{name} lacks the markers '{begin}' and '{end}'")
         head, rest = text.split(begin, 1)
         text = f"{head}{begin}\n{markdown(table)}\n{end}{rest.split(end, 1)[1]}"
     return text

@@ -37,7 +37,9 @@ UNFINISHED = NOTES / "unfinished"
 LOG = NOTES / "log.txt"
 INSTALLED_MESSAGES = NOTES / "regnet_msgs_files.txt"
 
-EXTRAS = "cluster,data,dev,msgs,ros,train"
+EXTRAS = "cluster,data,dev,msgs,robots,ros,train"
+# Installed without their dependencies: of robosuite, only the models of robots are used.
+ALONE = ("robosuite",)
 # What the wheels' CMake files say of the machine that built them, and what holds here.
 FOREIGN_PATHS = (
     (r"/opt/python/cp\d+-cp\d+/include/python[\d.]+", "sysconfig.get_paths()['include']"),
@@ -48,7 +50,7 @@ NEEDED_MODULES = (
     *("regnet_core", "regnet_core.nn.proposer", "regnet_ros"),
 )
 # Only for making and judging scenes. Open3D needs system libraries that a machine without a desktop may lack.
-DATA_MODULES = ("coacd", "fcl", "mujoco", "open3d")
+DATA_MODULES = ("coacd", "fcl", "mink", "mujoco", "open3d")
 SYSTEM_LIBRARIES = {"libGL.so.1": "libgl1", "libX11.so.6": "libx11-6", "libgomp.so.1": "libgomp1"}
 OFFLINE = re.compile(
     r"NewConnectionError|NameResolutionError|name resolution|ConnectTimeout|ProxyError|Network is unreach"
@@ -85,7 +87,8 @@ def expected_stamps() -> dict[str, str]:
     """The stamp of each step as it is once the step has run on the present files; each holds those before it."""
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     environment = digest((), version, str(VENV))
-    packages = digest(files_below("constraints.txt", "setup.py", "setup.cfg", "pyproject.toml"), environment, EXTRAS)
+    declared = files_below("constraints.txt", "setup.py", "setup.cfg", "pyproject.toml")
+    packages = digest(declared, environment, EXTRAS, *ALONE)
     messages = digest(files_below("msg_defs"), packages)
     project = digest(files_below("config", "launch", "package.xml", "resource", "rviz", "tools/executables"), messages)
     check = digest((), project)
@@ -203,10 +206,12 @@ def install_packages() -> None:
     changing = []
     UNFINISHED.touch()
     try:
-        run(
-            *(PYTHON, "-m", "pip", "install", "--progress-bar", "off", "-e", f"{ROOT}[{EXTRAS}]"),
-            seen=lambda line: changing.append(line) if line.startswith("Installing collected packages") else None,
-        )
+        for wanted in (("-e", f"{ROOT}[{EXTRAS}]"), ("--no-deps", *ALONE)):
+            run(
+                *(PYTHON, "-m", "pip", "install", "--progress-bar", "off", *wanted),
+                seen=lambda line: changing.append(line) if line.startswith("Installing collected packages") else None,
+            )
+            changing.clear()
     except SetupError as error:
         if OFFLINE.search(str(error)):
             raise SetupError(

@@ -15,7 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "constraints.txt"
-EXTRAS = "cluster,data,dev,msgs,ros,train"
+EXTRAS = "cluster,data,dev,msgs,robots,ros,train"
+ALONE = ("robosuite",)
+"""What set-up installs without its dependencies (tools/setup_env.py)."""
 HEADER = """\
 # Versions of all that set-up installs, direct and indirect, for every Python that it supports.
 # Written by tools/update_constraints.py.
@@ -30,14 +32,16 @@ def resolve(python: str) -> tuple[str, dict[str, str]]:
     """
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([python, "-m", "venv", folder], check=True)
-        report = Path(folder) / "report.json"
-        command = [f"{folder}/bin/python", "-m", "pip", "install", "--quiet", "--dry-run", "--report", str(report)]
-        subprocess.run([*command, f"{ROOT}[{EXTRAS}]"], check=True)
-        content = json.loads(report.read_text())
-    packages = (entry["metadata"] for entry in content["install"])
+        contents = []
+        for wanted in ([f"{ROOT}[{EXTRAS}]"], ["--no-deps", *ALONE]):
+            report = Path(folder) / "report.json"
+            command = [f"{folder}/bin/python", "-m", "pip", "install", "--quiet", "--dry-run", "--report", str(report)]
+            subprocess.run([*command, *wanted], check=True)
+            contents.append(json.loads(report.read_text()))
+    packages = [entry["metadata"] for content in contents for entry in content["install"]]
     found = {re.sub(r"[-_.]+", "-", package["name"]).lower(): package["version"] for package in packages}
     del found["regnet-ros"]
-    return content["environment"]["python_version"], found
+    return contents[0]["environment"]["python_version"], found
 
 
 def lines(resolved: Mapping[str, Mapping[str, str]]) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from regnet_core import __version__
-from regnet_core.cli import detect, evaluate, generate, inspect, models, train
+from regnet_core.cli import calibrate, detect, evaluate, generate, inspect, models, simulate, train
 from regnet_core.errors import InvalidInputError, RegnetError
 
 _USAGE_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -34,6 +34,8 @@ app.command()(generate.generate)
 app.command()(inspect.inspect)
 app.command()(train.train)
 app.command()(evaluate.evaluate)
+app.command()(simulate.simulate)
+app.command()(calibrate.calibrate)
 
 
 @app.callback(invoke_without_command=True)

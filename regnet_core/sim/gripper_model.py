@@ -1,10 +1,10 @@
-"""A free-floating parallel gripper, added to a MuJoCo model.
+"""A parallel gripper, added to a MuJoCo model: free-floating, or on a body such as the flange of a robot.
 
-The hand stands in the grasp frame: its body's frame is the frame of the grasp that is tried, and three slide joints
-move it along the grasp's X, Y and Z. Its orientation never changes during an attempt, so the hand needs no rotational
-joints, and its frame is set in the compiled model before each attempt. Both fingers are driven by one motor: a joint
-equality keeps the opening symmetric, as the mechanism of such a gripper does, and a tendon over both joints carries
-the force.
+The free hand stands in the grasp frame: its body's frame is the frame of the grasp that is tried, and three slide
+joints move it along the grasp's X, Y and Z. Its orientation never changes during an attempt, so the hand needs no
+rotational joints, and its frame is set in the compiled model before each attempt. Both fingers are driven by one motor:
+a joint equality keeps the opening symmetric, as the mechanism of such a gripper does, and a tendon over both joints
+carries the force.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from regnet_core.geometry import Box
+from regnet_core.geometry import Array, Box
 from regnet_core.gripper import Gripper
 from regnet_core.sim.config import SimConfig
 from regnet_core.sim.world import contact_options
@@ -39,8 +40,27 @@ _NAME = "__gripper__"  # no object of a scene is called so
 _AXES = "xyz"
 
 
+class JawIndex(NamedTuple):
+    """Where palm and fingers are in a compiled model."""
+
+    body: int
+    """The hand's body, whose frame is the grasp frame."""
+    qpos: slice
+    """Distances of both pads from the middle (2,) [m]."""
+    qvel: slice
+    """The same for velocities [m/s]."""
+    ctrl: int
+    """Command of the opening [m]."""
+    palm: int
+    """Geom of the palm."""
+    left: int
+    """Geom of the finger at +Y."""
+    right: int
+    """Geom of the finger at -Y."""
+
+
 class HandIndex(NamedTuple):
-    """Where the hand is in a compiled model."""
+    """Where the free hand is in a compiled model."""
 
     body: int
     """Its body, whose pose is the frame of the grasp."""
@@ -69,11 +89,38 @@ def finger_damping() -> float:
 
 
 def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, config: SimConfig) -> None:
-    """Adds the hand and its drives to a model, after the objects."""
-    bodies = gripper.bodies(gripper.width)
+    """Adds the free hand and its drives to a model, after the objects."""
     hand = spec.worldbody.add_body(name=_NAME, gravcomp=1.0)
     for i, axis in enumerate(_AXES):
         hand.add_joint(name=f"{_NAME}/{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=np.eye(3)[i])
+    _add_base_drives(spec)
+    _add_jaw(spec, hand, gripper, config)
+
+
+def mount_gripper(
+    spec: mujoco.MjSpec, parent: mujoco.MjsBody, T_parent_grasp: Array, gripper: Gripper, config: SimConfig
+) -> mujoco.MjsBody:
+    """Adds the hand, rigidly, to a body of a model, and the drive of its opening.
+
+    Args:
+        spec: the model.
+        parent: the body that carries the hand, such as a robot's flange.
+        T_parent_grasp: (4, 4) the grasp frame in the frame of that body.
+        gripper: its dimensions.
+        config: force of the fingers, friction and softness of the pads.
+
+    Returns:
+        The hand's body, whose frame is the grasp frame.
+    """
+    quaternion = Rotation.from_matrix(T_parent_grasp[:3, :3]).as_quat(scalar_first=True)
+    hand = parent.add_body(name=_NAME, pos=T_parent_grasp[:3, 3], quat=quaternion, gravcomp=1.0)
+    _add_jaw(spec, hand, gripper, config)
+    return hand
+
+
+def _add_jaw(spec: mujoco.MjSpec, hand: mujoco.MjsBody, gripper: Gripper, config: SimConfig) -> None:
+    """Palm and fingers on the hand's body, and the drive of the opening."""
+    bodies = gripper.bodies(gripper.width)
     contact = contact_options(config.timestep)
     palm = _add_box(hand, "palm", bodies.palm, PALM_MASS, contact)
     palm.friction = [PALM_FRICTION, 0.005, _ROLLING]
@@ -95,7 +142,7 @@ def add_gripper(spec: mujoco.MjSpec, gripper: Gripper, config: SimConfig) -> Non
         pad.solref = [config.pad_time, 1.0]
     spec.add_exclude(bodyname1=f"{_NAME}/left", bodyname2=f"{_NAME}/right")
     _couple_fingers(spec, contact)
-    _add_drives(spec, config.grip_force)
+    _add_opening_drive(spec, config.grip_force)
 
 
 def hand_index(model: mujoco.MjModel) -> HandIndex:
@@ -108,6 +155,19 @@ def hand_index(model: mujoco.MjModel) -> HandIndex:
         slice(int(first.qposadr[0]), int(last.qposadr[0]) + 1),
         slice(int(first.dofadr[0]), int(last.dofadr[0]) + 1),
         slice(ctrl, ctrl + 4),
+        *geoms,
+    )
+
+
+def jaw_index(model: mujoco.MjModel) -> JawIndex:
+    """Where `add_gripper` or `mount_gripper` put palm and fingers."""
+    left, right = model.joint(f"{_NAME}/left"), model.joint(f"{_NAME}/right")
+    geoms = (model.geom(f"{_NAME}/{name}").id for name in ("palm", "left", "right"))
+    return JawIndex(
+        model.body(_NAME).id,
+        slice(int(left.qposadr[0]), int(right.qposadr[0]) + 1),
+        slice(int(left.dofadr[0]), int(right.dofadr[0]) + 1),
+        model.actuator(f"{_NAME}/opening").id,
         *geoms,
     )
 
@@ -140,7 +200,7 @@ def _couple_fingers(spec: mujoco.MjSpec, contact: dict[str, object]) -> None:
     )
 
 
-def _add_drives(spec: mujoco.MjSpec, grip_force: float) -> None:
+def _add_base_drives(spec: mujoco.MjSpec) -> None:
     for axis in _AXES:
         drive = spec.add_actuator(
             name=f"{_NAME}/{axis}",
@@ -150,6 +210,9 @@ def _add_drives(spec: mujoco.MjSpec, grip_force: float) -> None:
             forcerange=[-BASE_FORCE, BASE_FORCE],
         )
         drive.set_to_position(kp=BASE_STIFFNESS, kv=base_damping())
+
+
+def _add_opening_drive(spec: mujoco.MjSpec, grip_force: float) -> None:
     opening = spec.add_tendon(name=f"{_NAME}/opening")
     opening.wrap_joint(f"{_NAME}/left", 1.0)
     opening.wrap_joint(f"{_NAME}/right", 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import mujoco
@@ -75,11 +76,23 @@ class HandInScene:
         self._owner = np.where(body_of <= self.count, body_of - 1, STATIC)  # body 0 is the world
         self._part = np.full(self.model.ngeom, -1, dtype=np.int64)
         self._part[[self._hand.palm, self._hand.left, self._hand.right]] = PALM, LEFT, RIGHT
+        self._given = scene.poses
         self.reset()
 
     def reset(self) -> None:
         """The scene as it was given, at rest, and no hand in it."""
+        self.restart(self._given)
+
+    def restart(self, poses: Array, removed: Collection[int] = ()) -> None:
+        """All objects at rest at these poses (K, 4, 4), no hand, and some of the objects out of the scene.
+
+        What follows depends on nothing that was before.
+        """
+        self.model.qpos0[: 7 * self.count] = _as_qpos(poses).ravel()
         self.model.body_gravcomp[1 : self.count + 1] = 0.0
+        for index in removed:
+            self.model.body_gravcomp[index + 1] = 1.0
+            self.model.qpos0[7 * index : 7 * index + 3] = _away(index)
         # The reset puts objects to sleep unless they touch the hand, so that goes first.
         self._set_frame(np.eye(3), _PARKED)
         mujoco.mj_resetData(self.model, self.data)
@@ -121,7 +134,7 @@ class HandInScene:
     def remove(self, index: int) -> None:
         """Takes an object out of the scene: it floats, far away and weightless, until the next reset."""
         self.model.body_gravcomp[index + 1] = 1.0
-        self.data.qpos[7 * index : 7 * index + 3] = _PARKED + np.array([10.0 + index, 0.0, 0.0])
+        self.data.qpos[7 * index : 7 * index + 3] = _away(index)
         self.data.qvel[6 * index : 6 * index + 6] = 0.0
         self._wake()
 
@@ -187,3 +200,15 @@ class HandInScene:
         # With elliptic cones, the first of a contact's constraint forces is the one along its normal.
         force = np.where(address >= 0, self.data.efc_force[address], 0.0) if len(row) else np.zeros(0)
         return Touches(part[row, side], self._owner[other], other, force)
+
+
+def _as_qpos(poses: Array) -> Array:
+    """Positions and quaternions (K, 7), scalar first, of poses (K, 4, 4)."""
+    if not len(poses):
+        return np.zeros((0, 7))
+    return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)])
+
+
+def _away(index: int) -> Array:
+    """Where a removed object is kept (3,) [m]."""
+    return _PARKED + np.array([10.0 + index, 0.0, 0.0])

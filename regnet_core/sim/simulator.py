@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from regnet_core.checks import check_range, is_whole, shown
 from regnet_core.data.scenes.scene import Scene
@@ -16,6 +17,7 @@ from regnet_core.gripper import Gripper
 from regnet_core.sim.config import SimConfig
 from regnet_core.sim.outcome import Attempt
 from regnet_core.sim.physics import HandInScene
+from regnet_core.sim.transfer import Transfer, TransferConfig, TransferRecord
 from regnet_core.sim.trial import Trial
 
 _REST_SPEED = 0.003
@@ -67,6 +69,24 @@ class GraspSimulator:
         """Puts the scene back to its given poses, with all its objects."""
         self._removed.clear()
         self._physics.reset()
+
+    def restart(self, poses: npt.ArrayLike, removed: Collection[int] = ()) -> None:
+        """Puts all objects at rest at these poses; what follows depends on them alone, not on what was before.
+
+        Args:
+            poses: (K, 4, 4) T_world_object; those of removed objects do not matter.
+            removed: indices of the objects that are taken out of the scene.
+
+        Raises:
+            InvalidInputError: the poses have another shape or are not finite, or there is no such object.
+        """
+        count, given = len(self.scene.objects), np.asarray(poses, dtype=np.float64)
+        if given.shape != (count, 4, 4) or not np.isfinite(given).all():
+            raise InvalidInputError(f"poses of {count} objects are finite numbers ({count}, 4, 4), got {given.shape}")
+        for index in removed:
+            self._check_object("removed", index, range(count))
+        self._removed = {int(index) for index in removed}
+        self._physics.restart(given, self._removed)
 
     def remove(self, index: int) -> None:
         """Takes an object out of the scene until the next reset, as when it is put down elsewhere.
@@ -133,6 +153,38 @@ class GraspSimulator:
         if reset:
             self.reset()
         return Trial(self._physics, self.config, grasp, target, record_every).run()
+
+    def transfer(
+        self,
+        grasp: Grasps,
+        place: tuple[float, float],
+        config: TransferConfig | None = None,
+        *,
+        record_every: float | None = None,
+    ) -> TransferRecord:
+        """Picks and places, from the current state: approach, close, lift, carry, lower, release.
+
+        A touch before closing is told; only one against a great force ends the approach. The hand is still where it
+        ended: `settle` takes it away and lets everything come to rest.
+
+        Args:
+            grasp: a batch of one grasp in the world frame; its `width` is the opening before closing.
+            place: x and y in the world, where the point between the fingertips is brought to before release [m].
+            config: heights, speeds and forces.
+            record_every: keep the state at these intervals for pictures [s]; nothing is kept when None.
+
+        Raises:
+            InvalidInputError: not exactly one grasp, or one that is no pose or too wide for the gripper, or no such
+                place.
+        """
+        self._check_grasp(grasp)
+        target = np.asarray(place, dtype=np.float64)
+        if target.shape != (2,) or not np.isfinite(target).all():
+            raise InvalidInputError(f"place must be 2 finite numbers, x and y, got {place!r}")
+        if record_every is not None:
+            check_range("record_every", record_every, self.config.timestep, math.inf, "s")
+        way = target - grasp.fingertips(self.gripper)[0, :2]
+        return Transfer(self._physics, self.config, config or TransferConfig(), grasp, way, record_every).run()
 
     def _check_grasp(self, grasp: Grasps) -> None:
         if not isinstance(grasp, Grasps) or len(grasp) != 1:

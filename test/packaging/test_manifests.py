@@ -112,13 +112,16 @@ def test_core_imports_no_ros() -> None:
 def test_every_python_package_that_is_imported_is_declared() -> None:
     learning = [*sources("regnet_core/training"), ROOT / "regnet_core" / "cli" / "train.py"]
     data_only = sources("regnet_core/data", "regnet_core/evaluation", "regnet_core/sim")
-    always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only + learning]
+    robots = sources("regnet_core/robots")
+    always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only + robots + learning]
     data = requirements(None) | requirements("data")
-    train, everything = requirements("train"), data | requirements("dev") | requirements("cluster")
-    assert "regnet-ros" in train  # with the extra data, which training needs as well
+    train, arms = requirements("train"), requirements("robots")
+    everything = data | requirements("dev") | requirements("cluster") | arms
+    assert "regnet-ros" in train & arms  # with the extra data, which both need as well
     for files, declared, packages in (
         (always, requirements(None), ros_dependencies()),
         ([path for path in data_only if path not in learning], data | requirements("cluster"), set()),
+        (robots, data | arms, set()),
         (learning, data | train, set()),
         (sources("tools", "test"), everything | train, ros_dependencies("test_depend")),
     ):

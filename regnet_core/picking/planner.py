@@ -1,0 +1,166 @@
+"""From a cloud to the grasp to try: a detector, what is known of the cell, and a policy. The same for all methods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from regnet_core.checks import check_range, is_whole
+from regnet_core.collision import CollisionConfig, SceneCollision
+from regnet_core.detector import GraspDetector
+from regnet_core.errors import InvalidInputError
+from regnet_core.filters import GraspFilters
+from regnet_core.geometry import Array, Box, Mask
+from regnet_core.grasps import Grasps
+from regnet_core.gripper import Gripper
+from regnet_core.picking.clearance import meets_boxes
+from regnet_core.picking.observation import Observation
+from regnet_core.picking.workcell import Workcell
+from regnet_core.policy import Policy, select
+
+_WAY_STEP = 0.02
+"""Distance between two places on the way in at which the hand is compared with the cloud [m]."""
+_NOISE = CollisionConfig(margin=0.0, max_points=5)
+"""On the way in, a few points in the hand are flying pixels: the cloud is as the camera gives it."""
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """What an integrator sets, for all methods alike.
+
+    Attributes:
+        max_tilt: largest angle between an approach and straight down [rad].
+        min_quality: grasps that the method expects to be worse are no grasps.
+        margin: hands keep at least so far from the points of the cloud, but for the fingers' inner faces [m].
+        inset: only what is at least this far from the walls and the floor of the bin is grasped [m].
+        known_bin: whether grasps are left out whose hand would meet the bin, known from its drawing, on its way in, or
+            would have a wall between its fingers.
+        bin_margin: the bin is taken to be so much thicker then [m].
+        check_way: whether grasps are left out whose hand would meet points of the cloud on its way in.
+        avoid: after a failure, grasps whose fingertips are nearer than this to those of the grasps that failed since
+            the last success are tried only when there are no others [m]; 0 switches it off.
+        looks: how many clouds in a row, each with its own noise, must give no grasp before there is none.
+
+    Raises:
+        InvalidInputError: a value is out of range.
+    """
+
+    max_tilt: float = math.radians(60.0)
+    min_quality: float = 0.0
+    margin: float = 0.002
+    inset: float = 0.005
+    known_bin: bool = True
+    bin_margin: float = 0.002
+    check_way: bool = True
+    avoid: float = 0.03
+    looks: int = 3
+
+    def __post_init__(self) -> None:
+        check_range("max_tilt", self.max_tilt, 0.01, math.pi, "rad")
+        check_range("min_quality", self.min_quality, 0.0, 1.0)
+        for name in ("margin", "inset", "bin_margin", "avoid"):
+            check_range(name, getattr(self, name), 0.0, 0.1, "m")
+        if not is_whole(self.looks) or self.looks < 1:
+            raise InvalidInputError(f"looks must be a whole number of at least 1, got {self.looks!r}")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The grasp to try, or why there is none."""
+
+    grasp: Grasps
+    """One grasp in the world frame; an empty batch: none was found."""
+    score: float
+    """The policy's score of it; NaN without one."""
+    found: int
+    """Grasps that the policy could choose from."""
+    seconds: float
+    """Time of the detection."""
+    reason: str
+    """Why there is none, in a sentence; empty when there is one."""
+
+
+class GraspPlanner:
+    """Plans one grasp after another in one work cell."""
+
+    def __init__(
+        self,
+        detector: GraspDetector,
+        policy: Policy,
+        gripper: Gripper,
+        cell: Workcell,
+        config: PlanConfig,
+        way: float,
+    ) -> None:
+        """Args:
+        detector: the method.
+        policy: chooses among its grasps.
+        gripper: the hand.
+        cell: what is known of the work cell.
+        config: the integrator's settings.
+        way: length of the straight way to a grasp [m].
+        """
+        self._detector = detector
+        self._policy = policy
+        self._gripper = gripper
+        self._config = config
+        self._way = way
+        self._boxes = cell.obstacles if config.known_bin else ()
+        self._filters = GraspFilters(
+            approach_max_angle=config.max_tilt, min_quality=config.min_quality, target=_target(cell, config.inset)
+        )
+        self._failed: list[Array] = []
+
+    def learn(self, grasp: Grasps, success: bool) -> None:
+        """What came of a grasp; a success changes the scene, so failures before it count no more."""
+        self._failed = [] if success else [*self._failed, grasp.fingertips(self._gripper)[0]]
+
+    def plan(self, observation: Observation) -> Plan:
+        """The grasp of the highest score."""
+        detection = self._detector.detect(
+            observation.points, self._gripper, filters=self._filters, viewpoint=observation.viewpoint
+        )
+        grasps, seconds = detection.grasps, detection.report.total_seconds
+        if len(grasps) == 0:
+            return Plan(Grasps.empty(), math.nan, 0, seconds, detection.report.reason)
+        free = grasps[self._free(grasps, observation)]
+        chosen = select(free, self._policy, excluded=self._avoided(free))
+        if chosen is None:
+            reason = f"on their way in, the hands of all {len(grasps)} grasps would meet the bin or the observed cloud"
+            return Plan(Grasps.empty(), math.nan, 0, seconds, reason)
+        return Plan(free[chosen.rank], chosen.score, len(free), seconds, "")
+
+    def _free(self, grasps: Grasps, observation: Observation) -> Mask:
+        """(M,): the hand meets nothing on its way."""
+        free = ~meets_boxes(grasps, self._gripper, self._boxes, self._way, self._config.bin_margin)
+        if not self._config.check_way:
+            return free
+        cloud = SceneCollision(observation.points, None, _NOISE)
+        for back in np.arange(_WAY_STEP, self._way + 1e-9, _WAY_STEP):
+            free &= ~cloud.with_points(_moved_back(grasps, float(back)), self._gripper)
+        return free
+
+    def _avoided(self, grasps: Grasps) -> Sequence[int]:
+        """Ranks next to earlier failures; none where that would leave nothing."""
+        if not self._failed or self._config.avoid == 0.0:
+            return ()
+        tips = grasps.fingertips(self._gripper)
+        near = np.linalg.norm(tips[:, None] - np.array(self._failed), axis=2).min(axis=1) < self._config.avoid
+        return () if near.all() else np.flatnonzero(near).tolist()
+
+
+def _moved_back(grasps: Grasps, distance: float) -> Grasps:
+    """The hands, so far before their grasps [m]."""
+    return replace(grasps, translation=grasps.translation - distance * grasps.approach)
+
+
+def _target(cell: Workcell, inset: float) -> Box:
+    """Where things may be grasped: the source, away from the walls and the floor of a bin [m]."""
+    lower, upper = np.array(cell.source.lower), np.array(cell.source.upper)
+    if cell.pick_bin is None:
+        return cell.source
+    lower[2] = cell.pick_bin.inside.lower[2]
+    return Box(tuple(lower + inset), tuple(upper - [inset, inset, 0.0]))
