@@ -1,5 +1,7 @@
 """The models by name: the trained networks, the baselines, and a network of one's own by the path of its weights.
 
+What a file of weights is of, REGNet or a learned baseline, is said in the file and not by its name.
+
 torch is imported when a network is asked for and not before: nothing else has to wait for it.
 """
 
@@ -12,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from regnet_core.baselines import LEARNED
 from regnet_core.baselines.antipodal import AntipodalSampler
 from regnet_core.baselines.random_sampler import RandomSampler
 from regnet_core.errors import ModelError
@@ -37,8 +40,10 @@ class LoadedModel(NamedTuple):
 
 
 def available_models() -> tuple[str, ...]:
-    """The names that ``GraspDetector(model=...)`` takes: networks that have weights, then baselines."""
-    return (*network_names(), *_BASELINES)
+    """The names that ``GraspDetector(model=...)`` takes: networks, then baselines; learned ones that have weights."""
+    there = network_names()
+    networks = [name for name in there if name not in LEARNED]
+    return (*networks, *(name for name in LEARNED if name in there), *_BASELINES)
 
 
 def is_weights_path(model: str) -> bool:
@@ -51,7 +56,7 @@ def load_model(model: str, device: str = "auto") -> LoadedModel:
 
     Args:
         model: one of ``available_models()``, or the path of a network's weights (.safetensors).
-        device: "auto", "cpu", "cuda" or "cuda:N"; baselines run on the CPU only.
+        device: "auto", "cpu", "cuda" or "cuda:N"; baselines without weights run on the CPU only.
 
     Raises:
         ModelError: there is no such model or device, or its weights cannot be used.
@@ -89,14 +94,27 @@ def _load_network(file: WeightsFile, device: str) -> LoadedModel:
 @lru_cache(_NETWORKS_KEPT)
 def _network(file: WeightsFile, stamp: tuple[int, int], device: str) -> Proposer:
     """The network of a file; ``stamp`` tells a file from one that was there before."""
+    from regnet_core.baselines.files import stored_name
+
+    name = stored_name(file.path)
+    try:
+        return _baseline(file, name, device) if name in LEARNED else _regnet(file, device)
+    except RuntimeError as error:
+        raise ModelError(f"the network of '{file.path}' cannot be put on {device}: {error}") from error
+
+
+def _baseline(file: WeightsFile, name: str, device: str) -> Proposer:
+    from regnet_core.baselines.zoo import load_proposer
+
+    return load_proposer(name, file.path, device, file.sha256)
+
+
+def _regnet(file: WeightsFile, device: str) -> Proposer:
     from regnet_core.nn.files import load_network
     from regnet_core.nn.proposer import NetworkProposer
 
     network, _ = load_network(file.path, file.sha256)
-    try:
-        return NetworkProposer(network, device)
-    except RuntimeError as error:
-        raise ModelError(f"the network of '{file.path}' cannot be put on {device}: {error}") from error
+    return NetworkProposer(network, device)
 
 
 def _remedy(error: ImportError) -> str:

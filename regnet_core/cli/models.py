@@ -13,7 +13,7 @@ def models(
         typer.Option(help="Show the card of this network instead: training, metrics, limits.", metavar="NAME"),
     ] = None,
 ) -> None:
-    """List the models that `regnet detect --model` takes, one a line: trained networks, then baselines."""
+    """List the models that `regnet detect --model` takes, one a line: networks, then baselines, learned ones first."""
     from regnet_core.models import available_models
     from regnet_core.weights import model_card
 

@@ -1,4 +1,4 @@
-"""``regnet train``: trains a network on a data set."""
+"""``regnet train``: trains a network, or a learned baseline, on a data set."""
 
 from __future__ import annotations
 
@@ -8,23 +8,27 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from regnet_core.baselines import LEARNED
 from regnet_core.cli.needs import needs
 from regnet_core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # torch is not there for every command
+    from regnet_core.baselines.training import BaselineTrainer
     from regnet_core.training.trainer import Report, Trainer
 
 _RECIPE, _RUN = "Recipe", "Run"
 
 
 def train(
-    config: Annotated[str, typer.Option(help="Network, such as regnetv2-s or regnetv2-s-layer2.")],
+    config: Annotated[
+        str, typer.Option(help=f"Network, such as regnetv2-s or regnetv2-s-layer2, or baseline: {', '.join(LEARNED)}.")
+    ],
     data: Annotated[Path, typer.Option(help="Data set to train on, made by `regnet generate`.")],
     out: Annotated[Path, typer.Option(help="Folder of the checkpoint and the log.")],
     validation: Annotated[Path | None, typer.Option(help="Data set to validate on.")] = None,
@@ -32,22 +36,42 @@ def train(
     start: Annotated[
         Path | None, typer.Option(help="Weights to start from, of another run.", rich_help_panel=_RECIPE)
     ] = None,
-    steps: Annotated[int, typer.Option(help="Batches in all.", rich_help_panel=_RECIPE)] = 20_000,
-    batch: Annotated[int, typer.Option(help="Views in a batch.", rich_help_panel=_RECIPE)] = 6,
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Batches in all.", show_default="20000; a baseline's own", rich_help_panel=_RECIPE),
+    ] = None,
+    batch: Annotated[
+        int | None,
+        typer.Option(
+            help="Views in a batch; hands, for a baseline that classifies them.",
+            show_default="6; a baseline's own",
+            rich_help_panel=_RECIPE,
+        ),
+    ] = None,
     points: Annotated[
         int | None,
         typer.Option(help="Points of a view.", show_default="what the network is made for", rich_help_panel=_RECIPE),
     ] = None,
-    learning_rate: Annotated[float, typer.Option(help="The highest.", rich_help_panel=_RECIPE)] = 2e-3,
+    learning_rate: Annotated[
+        float | None, typer.Option(help="The highest.", show_default="0.002; a baseline's own", rich_help_panel=_RECIPE)
+    ] = None,
+    examples: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the judged hands that gpd-3, gpd-12 and pointnetgpd learn from; it serves all of them.",
+            show_default="examples in --out",
+            rich_help_panel=_RECIPE,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of every random choice.", rich_help_panel=_RECIPE)] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda.", rich_help_panel=_RUN)] = "auto",
-    workers: Annotated[int, typer.Option(help="Processes that read data.", rich_help_panel=_RUN)] = 1,
+    workers: Annotated[int, typer.Option(help="Processes that read data or make examples.", rich_help_panel=_RUN)] = 1,
     stop_after: Annotated[
         float, typer.Option(help="Save and stop after so many minutes.", rich_help_panel=_RUN)
     ] = math.inf,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
-    """Train a network; the run goes on with --resume, and is repeated by the same options.
+    """Train a network or a learned baseline; --resume goes on, and the same options repeat the run.
 
     Every number of every step is a line of log.jsonl in --out, and a curve in TensorBoard where that is installed:
     tensorboard --logdir OUT. On several GPUs: torchrun --nproc-per-node 4 -m regnet_core.cli train ...
@@ -56,33 +80,69 @@ def train(
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     with needs("train", "train"):
         import torch
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    changes = {"steps": steps, "batch": batch, "learning_rate": learning_rate, "seed": seed}
+    recipe = {name: value for name, value in changes.items() if value is not None}
+    where: dict[str, Any] = {"data": data, "out": out, "validation": validation, "workers": workers}
+    where["stop_after"] = 60.0 * stop_after
+    if config in LEARNED:
+        if start is not None:
+            raise InvalidInputError(f"--start is for networks; '{config}' starts from random weights")
+        _train_baseline(
+            config, where | {"points": points, "examples": examples, "device": device}, recipe, resume, quiet
+        )
+    else:
+        if examples is not None:
+            raise InvalidInputError(f"--examples is for baselines that classify hands; '{config}' is none")
+        _train_network(config, where | {"start": start}, recipe | {"points": points}, device, resume, quiet)
 
+
+def _train_network(
+    config: str, where: dict[str, Any], recipe: dict[str, Any], device: str, resume: bool, quiet: bool
+) -> None:
+    with needs("train", "train"):
         from regnet_core.nn.zoo import network_config
         from regnet_core.training.distributed import join_group, leave_group
         from regnet_core.training.memory import keep_memory
         from regnet_core.training.recipe import Recipe
         from regnet_core.training.trainer import Run, Trainer
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cpu":
         keep_memory()
-    points = points or network_config(config).points
-    recipe = Recipe(steps=steps, batch=batch, points=points, learning_rate=learning_rate, seed=seed)
+    recipe["points"] = recipe["points"] or network_config(config).points
     group, device = join_group(device)
-    run = Run(config, data, out, validation, device, workers, stop_after=60.0 * stop_after, group=group, start=start)
-    trainer = Trainer(run, recipe)
-    if trainer.checkpoint.exists() and not resume:
-        raise InvalidInputError(f"'{out}' holds a checkpoint: give --resume to go on, or another folder")
-    if resume:
-        trainer.resume()
+    trainer = Trainer(Run(config, device=device, group=group, **where), Recipe(**recipe))
+    _begin(trainer, where["out"], resume)
     if group.leads:
-        _train(trainer, out, quiet)
+        _train(trainer, where["out"], quiet)
     else:
         trainer.train()
     leave_group()
 
 
-def _train(trainer: Trainer, out: Path, quiet: bool) -> None:
+def _train_baseline(config: str, where: dict[str, Any], recipe: dict[str, Any], resume: bool, quiet: bool) -> None:
+    with needs("train", "train"):
+        from regnet_core.baselines.runs import BaselineRun, prepare, recipe_of
+    with _bar(quiet) as progress:
+        task = progress.add_task("examples", total=None, loss="")
+        trainer = prepare(
+            BaselineRun(config, **where),
+            recipe_of(config, **recipe),
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    _begin(trainer, where["out"], resume)
+    _train(trainer, where["out"], quiet)
+
+
+def _begin(trainer: Trainer | BaselineTrainer, out: Path, resume: bool) -> None:
+    """Go on with the run that is in the folder, or see that there is none."""
+    if trainer.checkpoint.exists() and not resume:
+        raise InvalidInputError(f"'{out}' holds a checkpoint: give --resume to go on, or another folder")
+    if resume:
+        trainer.resume()
+
+
+def _train(trainer: Trainer | BaselineTrainer, out: Path, quiet: bool) -> None:
     """Train with a log, curves and a progress bar."""
     out.mkdir(parents=True, exist_ok=True)
     steps = trainer.recipe.steps
