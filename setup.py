@@ -55,8 +55,8 @@ EXTRAS = {
         "zstandard>=0.22",
     ],
     "dev": ["colcon-common-extensions", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
-    # Robot arms: inverse kinematics, calibration, the simulated work cell. The models of the robots come with robosuite,
-    # to be installed by itself (--no-deps): it pins an old mink, and needs packages that its models do not.
+    # Robot arms: inverse kinematics, calibration, the simulated work cell. The robots' models come with robosuite, to
+    # be installed by itself (--no-deps): it pins an old mink, and needs packages that its models do not.
     "robots": [f"{NAME}[data]", "mink>=1.3"],
     # The ROS 2 Jazzy client library where no ROS is installed: x86-64 Linux only.
     "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp"],

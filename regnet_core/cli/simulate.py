@@ -29,9 +29,9 @@ def simulate(
     scene: Annotated[
         list[str] | None,
         typer.Option(
-            help="easy-10, hard-10, mixed-20 in a bin, or VGN's pile-5, pile-10, packed-5, packed-10; give it several "
-            "times.",
-            show_default="the three bins",
+            help="easy-N, hard-N or mixed-N, N objects in a bin; pile-N or packed-N, on a table as VGN has them; give "
+            "it several times.",
+            show_default="easy-10, hard-10, mixed-20",
             rich_help_panel=_WHAT,
         ),
     ] = None,
@@ -125,6 +125,7 @@ def simulate(
     with needs("simulate", "data"):
         from regnet_core.data.generation.executors import LocalExecutor
         from regnet_core.picking.planner import PlanConfig
+        from regnet_core.picking.scenes import BIN_SCENES
         from regnet_core.picking.study import PickSettings
     if picture is not None:
         if picture.suffix != ".png":
@@ -133,7 +134,7 @@ def simulate(
     if film and watch is None:
         raise InvalidInputError("--film says how to draw: it needs --watch EPISODE[:ATTEMPT]")
     settings = PickSettings(
-        scenes=tuple(scene or ("easy-10", "hard-10", "mixed-20")),
+        scenes=tuple(scene or BIN_SCENES),
         models=tuple(model or (DEFAULT_MODEL,)),
         policies=tuple(policy or ("analytic",)),
         cameras=tuple(camera or ("front",)),

@@ -23,7 +23,7 @@ last digit printed, but for Sv3 and Sv4, which would be rounded to 6.275 (test_l
 | name                   | parameters | GFLOP |                                       |
 |------------------------|------------|-------|---------------------------------------|
 | regnetv2               | 6.511      | 242.5 | the paper's size, without colours     |
-| regnetv2-s             | 0.477      | 12.5  | 16384 points                          |
+| regnetv2-s             | 0.528      | 20.8  | 16384 points                          |
 | regnet                 | 6.510      | 157.1 | 64 regions instead of 768             |
 | regnetv2-no-anchors    | 6.507      | 173.5 | a fourth of the proposals to refine   |
 | regnetv2-no-region     | 6.511      | 242.5 |                                       |
@@ -46,6 +46,7 @@ REGNETV2_S = NetworkConfig(
     name="regnetv2-s",
     points=16384,
     least_confidence=0.02,
+    shape_radius=0.012,
     abstractions=(
         AbstractionConfig(2048, 0.02, 32, (32, 32, 64)),
         AbstractionConfig(512, 0.06, 32, (64, 64, 128)),
@@ -54,8 +55,8 @@ REGNETV2_S = NetworkConfig(
     propagations=((256, 256), (128, 128), (128, 128)),
     head=(128, 64),
     refinement=RefinementConfig(
-        channels=(64, 64, 128),
-        fusion=(128,),
+        channels=(96, 96, 192),
+        fusion=(192,),
         margin=0.01,
         point_features=True,
         candidates=2,

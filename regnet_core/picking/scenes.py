@@ -20,6 +20,21 @@ from regnet_core.picking.objects import ANY, EASY, HARD, UPRIGHT, ObjectSet, dra
 from regnet_core.picking.workcell import Workcell, bin_workcell, table_workcell
 
 BIN, PILE, PACKED = "bin", "pile", "packed"
+SCENE_WORDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "easy": (BIN, (EASY,)),
+        "hard": (BIN, (HARD,)),
+        "mixed": (BIN, (EASY, HARD)),
+        "pile": (PILE, (ANY,)),
+        "packed": (PACKED, (UPRIGHT,)),
+    }
+)
+"""What a scene's name begins with: its kind, and the classes of objects that it has in equal numbers."""
+MOST_OBJECTS = 30
+BIN_SCENES = ("easy-10", "hard-10", "mixed-20")
+"""Those of the paper."""
+VGN_SCENES = ("pile-5", "pile-10", "packed-5", "packed-10")
+"""Those of VGN."""
 _DROP = DropConfig(interval=0.4, penetration=0.001, looks=2)
 _PILE = replace(_DROP, spread=0.1)
 """A pile is dropped onto a disc of 20 cm, as VGN drops over the middle third of its 30 cm workspace."""
@@ -53,20 +68,24 @@ class PickScene:
         return _RULES[self.kind]
 
 
-def _scenes(*scenes: PickScene) -> Mapping[str, PickScene]:
-    return MappingProxyType({scene.name: scene for scene in scenes})
+def pick_scene(name: str) -> PickScene:
+    """The scene of that name, which is a word of SCENE_WORDS and the number of objects, such as mixed-20.
 
-
-PICK_SCENES: Mapping[str, PickScene] = _scenes(
-    PickScene("easy-10", BIN, ObjectSet("easy-10", ((EASY, 10),))),
-    PickScene("hard-10", BIN, ObjectSet("hard-10", ((HARD, 10),))),
-    PickScene("mixed-20", BIN, ObjectSet("mixed-20", ((EASY, 10), (HARD, 10)))),
-    PickScene("pile-5", PILE, ObjectSet("pile-5", ((ANY, 5),))),
-    PickScene("pile-10", PILE, ObjectSet("pile-10", ((ANY, 10),))),
-    PickScene("packed-5", PACKED, ObjectSet("packed-5", ((UPRIGHT, 5),))),
-    PickScene("packed-10", PACKED, ObjectSet("packed-10", ((UPRIGHT, 10),))),
-)
-"""By name: three bins, and the scenes of VGN."""
+    Raises:
+        InvalidInputError: there is no such scene.
+    """
+    word, _, digits = name.partition("-")
+    count = int(digits) if digits.isdecimal() else 0
+    if word not in SCENE_WORDS or not 1 <= count <= MOST_OBJECTS or name != f"{word}-{count}":
+        raise InvalidInputError(
+            f"a scene is one of {', '.join(SCENE_WORDS)} with a number of objects from 1 to {MOST_OBJECTS}, such as "
+            f"mixed-20; got {name!r}"
+        )
+    kind, classes = SCENE_WORDS[word]
+    # What does not divide goes to the first class.
+    shares = [len(range(i, count, len(classes))) for i in range(len(classes))]
+    counts = tuple((one, share) for one, share in zip(classes, shares, strict=True) if share)
+    return PickScene(name, kind, ObjectSet(name, counts))
 
 
 @lru_cache(8)
@@ -76,7 +95,7 @@ def make_scene(name: str, seed: int, episode: int) -> Scene:
     It does not depend on who picks it.
 
     Args:
-        name: one of PICK_SCENES.
+        name: as `pick_scene` takes it.
         seed: of the study.
         episode: its number.
 
@@ -84,9 +103,7 @@ def make_scene(name: str, seed: int, episode: int) -> Scene:
         InvalidInputError: there is no such scene.
         SceneError: the objects do not come to rest.
     """
-    if name not in PICK_SCENES:
-        raise InvalidInputError(f"no scene '{name}' to pick from; there are {', '.join(PICK_SCENES)}")
-    wanted = PICK_SCENES[name]
+    wanted = pick_scene(name)
     objects = draw_objects(wanted.objects, seed, episode)
     for redraw in range(_REDRAWS):
         rng = np.random.default_rng([seed, episode, redraw])

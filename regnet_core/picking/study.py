@@ -33,7 +33,7 @@ from regnet_core.picking.observation import DepthCamera
 from regnet_core.picking.planner import GraspPlanner, PlanConfig
 from regnet_core.picking.records import Record, episode_record, read_record, write_record
 from regnet_core.picking.robot import PickRobot
-from regnet_core.picking.scenes import PICK_SCENES, make_scene
+from regnet_core.picking.scenes import make_scene, pick_scene
 from regnet_core.picking.workcell import CAMERA_POSES, camera_at
 from regnet_core.policy import POLICIES, make_policy
 from regnet_core.sim.config import SimConfig
@@ -72,7 +72,7 @@ class PickSettings:
     """
 
     scenes: tuple[str, ...]
-    """Of PICK_SCENES."""
+    """As ``pick_scene`` takes them."""
     models: tuple[str, ...]
     """As ``GraspDetector`` takes them."""
     policies: tuple[str, ...]
@@ -94,14 +94,16 @@ class PickSettings:
     transfer: TransferConfig = field(default_factory=TransferConfig)
 
     def __post_init__(self) -> None:
-        known = {"scenes": PICK_SCENES, "policies": POLICIES, "cameras": CAMERA_POSES, "models": None}
-        for name, there in known.items():
+        for name in ("scenes", "models", "policies", "cameras"):
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
                 raise InvalidInputError(f"{name} must be different from each other, at least one, got {values}")
-            unknown = [value for value in values if there is not None and value not in there]
+        for scene in self.scenes:
+            pick_scene(scene)
+        for name, there in (("policies", tuple(POLICIES)), ("cameras", tuple(CAMERA_POSES))):
+            unknown = [value for value in getattr(self, name) if value not in there]
             if unknown:
-                raise InvalidInputError(f"{name} are of {', '.join(there or ())}; got '{unknown[0]}'")
+                raise InvalidInputError(f"{name} are {', '.join(there)}; got '{unknown[0]}'")
         if self.sensor not in SENSORS:
             raise InvalidInputError(f"sensors are {', '.join(SENSORS)}; got '{self.sensor}'")
         for name, low, high in (("episodes", 1, _MOST_EPISODES), ("seed", 0, 2**31 - 1)):
@@ -236,7 +238,8 @@ def run_episode(settings: PickSettings, job: Job) -> dict[str, Any]:
     """
     with _naming(settings, job):
         cell, episode = job
-        scene, workcell = make_scene(cell.scene, settings.seed, episode), PICK_SCENES[cell.scene].workcell
+        wanted, scene = pick_scene(cell.scene), make_scene(cell.scene, settings.seed, episode)
+        workcell = wanted.workcell
         gripper, sensor = Gripper(width=settings.width), SENSORS[settings.sensor]
         detector = make_detector(settings, cell.model)
         limit_torch()
@@ -244,7 +247,7 @@ def run_episode(settings: PickSettings, job: Job) -> dict[str, Any]:
         planner = GraspPlanner(detector, make_policy(cell.policy), gripper, workcell, settings.plan, way)
         camera = DepthCamera(camera_at(cell.camera, sensor.intrinsics), sensor, workcell.seen)
         robot = pick_robot(settings, job)
-        result = Episode(robot, workcell, camera, planner, settings.plan.looks, PICK_SCENES[cell.scene].rule).run(
+        result = Episode(robot, workcell, camera, planner, settings.plan.looks, wanted.rule).run(
             np.random.default_rng([_DOMAIN, settings.seed, episode])
         )
         objects = tuple(model.name for model in scene.objects)
@@ -264,7 +267,7 @@ def make_detector(settings: PickSettings, model: str) -> GraspDetector:
 def pick_robot(settings: PickSettings, job: Job) -> PickRobot:
     """The hand in the scene of an episode."""
     scene = make_scene(job.cell.scene, settings.seed, job.episode)
-    workcell = PICK_SCENES[job.cell.scene].workcell
+    workcell = pick_scene(job.cell.scene).workcell
     return PickRobot(scene, workcell, Gripper(width=settings.width), settings.physics, settings.transfer)
 
 

@@ -16,7 +16,7 @@ from regnet_core.gripper import Gripper
 from regnet_core.picking.pictures import Stage
 from regnet_core.picking.records import recorded_grasp, recorded_state
 from regnet_core.picking.robot import PickAttempt, PickRobot
-from regnet_core.picking.scenes import PICK_SCENES, make_scene
+from regnet_core.picking.scenes import make_scene, pick_scene
 from regnet_core.picking.study import EpisodeStore, Job, PickSettings, pick_robot
 from regnet_core.picking.workcell import Workcell
 from regnet_core.sim.outcome import Recording
@@ -63,7 +63,7 @@ class Watched:
         if [model.name for model in self.scene.objects] != record["objects"]:
             raise InvalidInputError(f"episode {job.episode} was recorded with other objects than there are now")
         self.job, self.number, self.recorded = job, number, attempts[number]
-        self.cell: Workcell = PICK_SCENES[job.cell.scene].workcell
+        self.cell: Workcell = pick_scene(job.cell.scene).workcell
         self.gripper = Gripper(width=settings.width)
         self.grasp = recorded_grasp(self.recorded)
         self.before = recorded_state(self.recorded["before"])

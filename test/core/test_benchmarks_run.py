@@ -99,7 +99,7 @@ def test_a_crop_is_a_box() -> None:
 
 def test_a_picture_needs_something_to_draw(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="neither runs nor end-to-end measurements"):
-        draw(Document("", machine(), {}), tmp_path / "none.png")
+        draw(Document("", describe_machine(), {}), tmp_path / "none.png")
 
 
 def test_workers_say_what_went_wrong() -> None:
