@@ -103,20 +103,26 @@ def interpolated(values: torch.Tensor, nearest: Nearest) -> torch.Tensor:
 
 
 def plain_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
-    """(N, 3, 3): 3 C / trace(C) - 1, one point after the other."""
-    shapes = torch.zeros(len(points), 3, 3)
-    for row, point in enumerate(points.double()):
-        near = points.double()[(points.double() - point).norm(dim=1) <= radius]
-        covariance = (near - near.mean(dim=0)).T @ (near - near.mean(dim=0)) / len(near)
-        if covariance.trace() >= 1e-8:
-            shapes[row] = (3.0 * covariance / covariance.trace() - torch.eye(3)).float()
-    return shapes
+    """(N, 3, 3): 3 C / trace(C) - 1, from the mean and the covariance of each point's neighbours."""
+    parts, at = [], points.double() - points.double().mean(dim=0)
+    for some in _chunks(at, len(at)):
+        near = torch.cdist(some, at, compute_mode="donot_use_mm_for_euclid_dist") <= radius
+        share = near.double() / near.sum(dim=1, keepdim=True)
+        mean = share @ at
+        outer = (at[:, :, None] * at[:, None, :]).flatten(1)
+        covariance = (share @ outer).unflatten(1, (3, 3)) - mean[:, :, None] * mean[:, None, :]
+        trace = covariance.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+        shape = 3.0 * covariance / trace.clamp(min=1e-8) - torch.eye(3, dtype=torch.float64)
+        parts.append(torch.where(trace >= 1e-8, shape, torch.zeros_like(shape)))
+    return torch.cat(parts).float()
 
 
 def with_plain_shapes(network: RegNet, clouds: Clouds) -> Clouds:
-    """The one cloud with its local shapes, where the network wants them."""
+    """The one cloud with its local shapes, where the network wants them and the cloud has none yet."""
     radius = network.config.shape_radius
-    return clouds._replace(shapes=plain_shapes(clouds.points, radius)) if radius else clouds
+    if radius == 0.0 or clouds.shapes is not None:
+        return clouds
+    return clouds._replace(shapes=plain_shapes(clouds.points, radius))
 
 
 def backbone_features(network: RegNet, clouds: Clouds) -> torch.Tensor:

@@ -17,6 +17,8 @@ from regnet_msgs.msg import GraspArray, SelectedGrasp
 from regnet_core.grasps import Grasps
 
 ACTION = "execute_grasp"
+OUTDATED = "outdated"
+"""Outcome of a grasp that was found before the objects were last moved: none of its array is worth a try."""
 _PATIENCE = 10.0
 """An executor that has neither accepted nor rejected a goal after so long has lost it [s]."""
 _ASK_EVERY = 2.0
@@ -147,6 +149,9 @@ class Execution:
             if answer.status == GoalStatus.STATUS_SUCCEEDED and result.success:
                 self._candidates = None
                 self._settled(f"grasp {rank} was executed: {result.message or result.outcome or 'success'}")
+            elif result.outcome == OUTDATED:
+                self._candidates = None
+                self._settled(f"waiting for new grasps: {result.message}")
             else:
                 self._next(rank, result.message or result.outcome or "the executor gave no reason")
 

@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 from regnet_core.errors import InvalidInputError
 from regnet_core.robots.goal import GraspGoal
 from regnet_ros.conversions import cloud_to_message, pose_to_message
-from regnet_ros.execution import ACTION
+from regnet_ros.execution import ACTION, OUTDATED
 from regnet_ros.goals import goal_from_message, seen_before
 from regnet_ros.inputs import LATCHED_QOS
 from regnet_ros.node import GraspNode
@@ -53,7 +53,9 @@ class Executor(GraspNode[ExecutorParameters]):
         self._claim = threading.Lock()
         """Held from the acceptance of a goal to its result."""
         self._accepted: GraspGoal | None = None
+        """What was accepted last; None where it was out of date."""
         self._picks = 0
+        self._counts: dict[str, int] = {}
         super().__init__("executor", awaits="its camera", **kwargs)
 
     def configure(self) -> None:
@@ -112,6 +114,9 @@ class Executor(GraspNode[ExecutorParameters]):
         counts = {"to pick": left, "placed": placed, "beside the bins": lost, "picks": self._picks}
         reason = "" if left else "the bin to pick from is empty"
         self.done({"capture": time.perf_counter() - start}, counts=counts, reason=reason)
+        if counts != self._counts:
+            self._counts = counts
+            self.publish_diagnostics()
 
     def _publish_joints(self, stamp: TimeMessage) -> None:
         assert self._cell is not None
@@ -159,8 +164,8 @@ class Executor(GraspNode[ExecutorParameters]):
         self._claim.release()
         return GoalResponse.REJECT
 
-    def _vetted(self, selected: SelectedGrasp) -> GraspGoal:
-        """The goal, if the robot can execute it.
+    def _vetted(self, selected: SelectedGrasp) -> GraspGoal | None:
+        """The goal, if the robot can execute it; None where it is out of date, which only a result can tell.
 
         Raises:
             InvalidInputError: it cannot, and why.
@@ -169,7 +174,7 @@ class Executor(GraspNode[ExecutorParameters]):
             raise InvalidInputError(f"the executor is {self.state_label}; it works once it is activated")
         assert self._cell is not None
         if seen_before(selected, self._changed):
-            raise InvalidInputError("it was found in a cloud from before the objects were last moved")
+            return None
         goal = goal_from_message(selected, self.settings.world_frame, self.settings.gripper)
         with self.busy:
             obstacle = self._cell.check(goal)
@@ -180,7 +185,10 @@ class Executor(GraspNode[ExecutorParameters]):
     def _execute(self, handle: ServerGoalHandle) -> ExecuteGrasp.Result:
         """Carry out the goal that was accepted."""
         try:
-            result = self._pick(handle)
+            if self._accepted is None:
+                handle.abort()
+                return ExecuteGrasp.Result(outcome=OUTDATED, message="the objects were moved since it was found")
+            result = self._pick(handle, self._accepted)
         except Exception as error:
             self.crash(error, "while executing a grasp")
             handle.abort()
@@ -197,9 +205,9 @@ class Executor(GraspNode[ExecutorParameters]):
         self.get_logger().info(f"grasp {handle.request.grasp.rank}: {result.outcome.value}: {result.message}")
         return ExecuteGrasp.Result(success=result.success, outcome=result.outcome.value, message=result.message)
 
-    def _pick(self, handle: ServerGoalHandle) -> PickResult:
-        cell, goal = self._cell, self._accepted
-        assert cell is not None and goal is not None
+    def _pick(self, handle: ServerGoalHandle, goal: GraspGoal) -> PickResult:
+        cell = self._cell
+        assert cell is not None
         pace = _Pace(cell.physics.time)
         told: tuple[Phase | None, float] = (None, 0.0)
 

@@ -23,12 +23,13 @@ from regnet_core.nn.results import Candidates, Output, Proposed, Refined, StageP
 SEARCHES = Stage(
     "searches",
     "search",
-    "farthest points, neighbours, nearest centroids and closing areas, by brute force",
+    "farthest points, neighbours, nearest centroids, closing areas and local shapes, by brute force",
     (
         "benchmarks.padded:plain_farthest_points",
         "benchmarks.padded:padded_ball_query",
         "benchmarks.padded:nearest_three",
         "benchmarks.padded:closing_index",
+        "benchmarks.padded:plain_shapes",
     ),
 )
 _FORWARD = "regnet_core.nn.network:RegNet.forward"
@@ -81,7 +82,8 @@ class ReferenceTask:
 
     def _run(self, all_anchors: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """The last logits, and the confidence of all points."""
-        network, clouds, ours = self._seen.network, self._seen.clouds, self._seen.output.proposed
+        network, ours = self._seen.network, self._seen.output.proposed
+        clouds = padded.with_plain_shapes(network, self._seen.clouds)
         features = padded.backbone_features(network, clouds)
         confidence = padded.confidence(network, features)
         # Our regions: those of the plain confidence could differ in the last digits of two equally good points.
@@ -93,14 +95,14 @@ class ReferenceTask:
         if refinement is None:
             return logits, confidence
         candidates = network.best_anchors(proposed, network.config.anchors if all_anchors else refinement.candidates)
-        refined = self._refine(candidates, proposed)
+        refined = self._refine(candidates, proposed, clouds)
         for _ in range(refinement.passes - 1):
             candidates = network.best_refined(candidates, refined)
-            refined = self._refine(candidates, proposed)
+            refined = self._refine(candidates, proposed, clouds)
         return refined.prediction.logit, confidence
 
-    def _refine(self, candidates: Candidates, proposed: Proposed) -> Refined:
-        network, clouds = self._seen.network, self._seen.clouds
+    def _refine(self, candidates: Candidates, proposed: Proposed, clouds: Clouds) -> Refined:
+        network = self._seen.network
         logits, numbers = padded.refined_numbers(
             network, clouds, proposed.features, proposed.region_features, candidates, self._subject.gripper
         )

@@ -84,8 +84,7 @@ class Subject:
         )
         self.gripper = Gripper(width=width)
         self.proposer: Any = load_model(self.model, "cpu").proposer
-        network = getattr(self.proposer, "network", None)
-        self.network: NetworkConfig | None = getattr(network, "config", None)
+        self.network: NetworkConfig | None = _config(self.proposer)
 
     def detect(self, prepared: Preprocessed, gripper: Gripper | None = None) -> Detection:
         """Cloud to ranked grasps."""
@@ -99,3 +98,13 @@ class Subject:
     def close(self) -> None:
         """Undo the choice of the precision, remove random weights."""
         self._stack.close()
+
+
+def _config(proposer: Any) -> NetworkConfig | None:
+    """Of the network of a proposer; None of other models, learned baselines included."""
+    network = getattr(proposer, "network", None)
+    if network is None:
+        return None
+    from regnet_core.nn.network import RegNet
+
+    return network.config if isinstance(network, RegNet) else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +22,8 @@ from regnet_core.policy import Policy, select
 
 _WAY_STEP = 0.02
 """Distance between two places on the way in at which the hand is compared with the cloud [m]."""
+_ALONG = 6
+"""Places along a finger, from its tip on, at which it is asked whether the camera sees there."""
 _NOISE = CollisionConfig(margin=0.0, max_points=5)
 """On the way in, a few points in the hand are flying pixels: the cloud is as the camera gives it."""
 
@@ -40,8 +41,11 @@ class PlanConfig:
             would have a wall between its fingers.
         bin_margin: the bin is taken to be so much thicker then [m].
         check_way: whether grasps are left out whose hand would meet points of the cloud on its way in.
-        avoid: after a failure, grasps whose fingertips are nearer than this to those of the grasps that failed since
-            the last success are tried only when there are no others [m]; 0 switches it off.
+        unseen_trust: the quality of a grasp is multiplied by this where a finger stands wholly in space that the camera
+            could not see, and by less the less of it does; 1 switches it off.
+        avoid: how near to the fingertips of a grasp that failed a grasp is doubted [m]; 0 switches it off. A success
+            there changes the scene, so that failures before it count no more.
+        retry_trust: the quality of a doubted grasp is multiplied by this for each of those failures.
         looks: how many clouds in a row, each with its own noise, must give no grasp before there is none.
 
     Raises:
@@ -55,12 +59,15 @@ class PlanConfig:
     known_bin: bool = True
     bin_margin: float = 0.002
     check_way: bool = True
+    unseen_trust: float = 0.5
     avoid: float = 0.03
+    retry_trust: float = 0.7
     looks: int = 3
 
     def __post_init__(self) -> None:
         check_range("max_tilt", self.max_tilt, 0.01, math.pi, "rad")
-        check_range("min_quality", self.min_quality, 0.0, 1.0)
+        for name in ("min_quality", "unseen_trust", "retry_trust"):
+            check_range(name, getattr(self, name), 0.0, 1.0)
         for name in ("margin", "inset", "bin_margin", "avoid"):
             check_range(name, getattr(self, name), 0.0, 0.1, "m")
         if not is_whole(self.looks) or self.looks < 1:
@@ -115,8 +122,12 @@ class GraspPlanner:
         self._failed: list[Array] = []
 
     def learn(self, grasp: Grasps, success: bool) -> None:
-        """What came of a grasp; a success changes the scene, so failures before it count no more."""
-        self._failed = [] if success else [*self._failed, grasp.fingertips(self._gripper)[0]]
+        """What came of a grasp."""
+        place = grasp.fingertips(self._gripper)[0]
+        if success:
+            self._failed = [other for other in self._failed if np.linalg.norm(other - place) >= self._config.avoid]
+        else:
+            self._failed.append(place)
 
     def plan(self, observation: Observation) -> Plan:
         """The grasp of the highest score."""
@@ -127,7 +138,7 @@ class GraspPlanner:
         if len(grasps) == 0:
             return Plan(Grasps.empty(), math.nan, 0, seconds, detection.report.reason)
         free = grasps[self._free(grasps, observation)]
-        chosen = select(free, self._policy, excluded=self._avoided(free))
+        chosen = select(self._doubted(free, observation), self._policy)
         if chosen is None:
             reason = f"on their way in, the hands of all {len(grasps)} grasps would meet the bin or the observed cloud"
             return Plan(Grasps.empty(), math.nan, 0, seconds, reason)
@@ -143,13 +154,28 @@ class GraspPlanner:
             free &= ~cloud.with_points(_moved_back(grasps, float(back)), self._gripper)
         return free
 
-    def _avoided(self, grasps: Grasps) -> Sequence[int]:
-        """Ranks next to earlier failures; none where that would leave nothing."""
-        if not self._failed or self._config.avoid == 0.0:
-            return ()
+    def _doubted(self, grasps: Grasps, observation: Observation) -> Grasps:
+        """The same grasps, their quality lowered by what the integrator knows and the method does not."""
+        unseen = hidden_share(grasps, self._gripper, observation)
+        trust = 1.0 - (1.0 - self._config.unseen_trust) * unseen
         tips = grasps.fingertips(self._gripper)
-        near = np.linalg.norm(tips[:, None] - np.array(self._failed), axis=2).min(axis=1) < self._config.avoid
-        return () if near.all() else np.flatnonzero(near).tolist()
+        for place in self._failed:
+            trust *= np.where(np.linalg.norm(tips - place, axis=1) < self._config.avoid, self._config.retry_trust, 1.0)
+        return replace(grasps, quality=grasps.quality * trust)
+
+
+def hidden_share(grasps: Grasps, gripper: Gripper, observation: Observation) -> Array:
+    """(M,) how much of the finger that is less seen stands in space that the camera could not see, in [0, 1]."""
+    x = gripper.depth * np.linspace(0.25, 1.0, _ALONG)
+    across = gripper.thickness * np.array([0.0, 0.5, 1.0])
+    shares = []
+    for side in (1.0, -1.0):
+        y = side * (0.5 * grasps.width[:, None] + across)  # (M, 3)
+        local = np.zeros((len(grasps), _ALONG, len(across), 3))
+        local[..., 0], local[..., 1] = x[:, None], y[:, None]
+        points = np.einsum("mij,mabj->mabi", grasps.rotation, local) + grasps.translation[:, None, None]
+        shares.append(observation.hidden(points.reshape(-1, 3)).reshape(len(grasps), -1).mean(axis=1))
+    return np.maximum(*shares)
 
 
 def _moved_back(grasps: Grasps, distance: float) -> Grasps:

@@ -113,14 +113,14 @@ def test_workers_say_what_went_wrong() -> None:
 def test_a_small_run(tmp_path: Path) -> None:
     """One round of a network and its plain implementation: times add up, work is counted, both compute the same."""
     settings = MatrixSettings(
-        models=("regnetv2-s",),
+        models=("untrained:regnetv2-s",),
         precisions=("fp32",),
         threads=(1,),
         clouds=("made-up:3000",),
         crop=(-1.0, -1.0, 0.0, 1.0, 1.0, 2.0),
         repetitions=2,
         warm_up=1,
-        references=("regnetv2-s",),
+        references=("untrained:regnetv2-s",),
         reference_repetitions=1,
         peak_side=128,
         peak_bytes=1 << 20,
@@ -128,7 +128,7 @@ def test_a_small_run(tmp_path: Path) -> None:
     result = measure_matrix(settings, lambda line: None)
     (run,), (plain,), (peak,) = result.runs, result.references, result.peaks
     assert {"crop", "support plane"} <= {stage.name for stage in run.stages if stage.part == "preprocessor"}
-    assert (run.model, run.weights, run.precision, run.points) == ("regnetv2-s", "trained", "fp32", 3000)
+    assert (run.model, run.weights, run.precision, run.points) == ("regnetv2-s", "random, seed 0", "fp32", 3000)
     assert 0 < run.seen == plain.seen <= run.prepared <= 3000
     stages = {stage.name: stage for stage in run.stages if stage.part == "detector"}
     assert {"validation", "sampling", "farthest points", "ball queries", "abstraction 3", "propagation 1"} <= set(

@@ -18,8 +18,9 @@ from benchmarks.work import Work, ledger_flops, needed_work
 from regnet_core import pointcloud, preprocessing, scene
 from regnet_core.baselines.antipodal import AntipodalSampler
 from regnet_core.nn.anchors import RESIDUALS
+from regnet_core.nn.config import RefinementConfig
 from regnet_core.nn.ledger import count_flops, layers
-from regnet_core.nn.zoo import NETWORKS, REGNETV2, REGNETV2_S
+from regnet_core.nn.zoo import NETWORKS, REGNETV2
 
 
 def _there(target: str) -> bool:
@@ -154,7 +155,8 @@ def test_the_bytes_of_pooling_regions_are_those_gathered() -> None:
 
 def test_work_counts_the_features_that_come_with_the_points_of_closing_areas_once() -> None:
     counts = {"points": 1000.0, "closing points": 500.0, "candidates": 10.0, "feature bytes": 4.0}
-    first, *rest = REGNETV2_S.refinement.channels if REGNETV2_S.refinement else ()
-    expected = 2.0 * (1000 * 128 * first + 500 * (4 * first + first * rest[0] + rest[0] * rest[1]))
-    expected += 2.0 * 10 * ((rest[1] + 128) * 128 + 128 * (RESIDUALS + 2))
-    assert needed_work(REGNETV2_S, counts)["refinement"].flops == pytest.approx(expected)
+    config = REGNETV2.replace(refinement=RefinementConfig(channels=(64, 32, 16), fusion=(8,), point_features=True))
+    # 256 features at 1000 points; x, y, z and the width at 500 neighbours; then 16 and 256 features of 10 candidates.
+    expected = 2.0 * (1000 * 256 * 64 + 500 * (4 * 64 + 64 * 32 + 32 * 16))
+    expected += 2.0 * 10 * ((16 + 256) * 8 + 8 * (RESIDUALS + 2))
+    assert needed_work(config, counts)["refinement"].flops == pytest.approx(expected)

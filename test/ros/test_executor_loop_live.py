@@ -36,7 +36,7 @@ def kill(process: NodeProcess, program: str) -> None:
 
 def test_a_bin_is_emptied_though_nodes_are_killed(system: System) -> None:
     loop = system.start(
-        "bin_picking", "--objects", "3", "--seed", "1", "--speed", "0", "--model", "antipodal", "--until-empty"
+        "bin_picking", "--objects", "3", "--seed", "1", "--speed", "4", "--model", "antipodal", "--until-empty"
     )  # fmt: skip
     wait_for(lambda: "3 to pick, 0 placed" in loop.output, "the filled bin", LONG)
     kill(loop, "detector")
