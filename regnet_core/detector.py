@@ -121,7 +121,8 @@ class GraspDetector:
             grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
         report = recorder.finish(self.model, self.device)
         if len(grasps) == 0:
-            report = recorder.finish(self.model, self.device, explain(report.steps, scene, hand, _MIN_POINTS))
+            why = explain(report.steps, scene, hand, _MIN_POINTS, limits.target is not None)
+            report = recorder.finish(self.model, self.device, why)
         return Detection(grasps, report, hand, scene.plane)
 
     def _propose_and_check(

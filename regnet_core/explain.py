@@ -14,7 +14,9 @@ _ROOM = 30.0
 """Clouds that spread wider than this [m] are probably in millimetres."""
 
 
-def explain(steps: Sequence[StepReport], scene: Scene, gripper: Gripper, least_points: int) -> str:
+def explain(
+    steps: Sequence[StepReport], scene: Scene, gripper: Gripper, least_points: int, targeted: bool = False
+) -> str:
     """One sentence about the step that left nothing, and what to do where that is known.
 
     Args:
@@ -22,6 +24,7 @@ def explain(steps: Sequence[StepReport], scene: Scene, gripper: Gripper, least_p
         scene: the prepared cloud.
         gripper: the hand.
         least_points: how many points on objects are needed to look for grasps.
+        targeted: whether the user gave a target region.
     """
     names = [step.name for step in steps]
     valid, workspace = steps[names.index("valid points")], steps[names.index("points in workspace")]
@@ -36,7 +39,8 @@ def explain(steps: Sequence[StepReport], scene: Scene, gripper: Gripper, least_p
     first = names.index("proposals")
     proposals = steps[first]
     if proposals.kept + proposals.rejected == 0:
-        return "the target region contains no point of an object that could be grasped"
+        where = "the target region contains" if targeted else "there is"
+        return f"{where} no point of an object that looks as if it could be grasped" + _doubts(scene)
     if proposals.kept == 0:
         return (
             f"none of {proposals.rejected} candidates closes on two opposing surfaces within the gripper's "

@@ -61,7 +61,8 @@ def test_the_detection_example_runs(
     rng = np.random.default_rng(0)
     table = np.column_stack([rng.uniform(-0.3, 0.3, (15000, 2)), np.zeros(15000)])
     top = rng.uniform([-0.02, -0.05, 0.1], [0.02, 0.05, 0.1], (1500, 3))
-    np.save(tmp_path / "cloud.npy", np.concatenate([table, top]))
+    front = rng.uniform([-0.02, -0.05, 0.0], [0.02, -0.05, 0.1], (1500, 3))
+    np.save(tmp_path / "cloud.npy", np.concatenate([table, top, front]))
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "README.md", "exec"), {})
     assert "StepReport" in capsys.readouterr().out
