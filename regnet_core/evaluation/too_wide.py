@@ -30,6 +30,9 @@ from regnet_core.models import load_model
 from regnet_core.report import StepRecorder
 from regnet_core.scene import prepare_scene
 
+BEST = 100
+"""So many of the grasps of a detection are its best ones, as in the metrics."""
+
 
 @dataclass(frozen=True)
 class TooWideSettings:
@@ -70,6 +73,8 @@ class Asked(NamedTuple):
     """(P,) what each of its own proposals needs [m], before the detector checks any."""
     final: Array
     """(F,) the same of the grasps that the detector returns."""
+    best: Array
+    """The same of the best of these, as many as the metrics look at."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,7 @@ class Row:
     width: float
     proposed: Share
     final: Share
+    best: Share
 
 
 def size_across(mesh: trimesh.Trimesh) -> float:
@@ -157,7 +163,7 @@ def summarise_too_wide(results: Sequence[Asked]) -> list[Row]:
     for width, model in sorted(groups, key=lambda group: group[0]):
         own = groups[width, model]
         scenes = [asked.scene for asked in own]
-        stages = [[asked.proposed for asked in own], [asked.final for asked in own]]
+        stages = [[getattr(asked, stage) for asked in own] for stage in ("proposed", "final", "best")]
         rows.append(Row(model, width, *(_share(needed, scenes, width, least) for needed in stages)))
     return rows
 
@@ -175,7 +181,7 @@ def _ask_in_scene(archive: SceneArchive, settings: TooWideSettings, index: int) 
     for gripper in (Gripper(width=width) for width in settings.widths):
         for model in settings.models:
             proposed, final = _ask(settings, model, cloud, gripper)
-            needed = [needed_on(truth, grasps, gripper, objects) for grasps in (proposed, final)]
+            needed = [needed_on(truth, grasps, gripper, objects) for grasps in (proposed, final, final[:BEST])]
             results.append(Asked(names[model], index, gripper.width, *needed))
     return results
 

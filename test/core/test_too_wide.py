@@ -59,7 +59,7 @@ def test_what_is_between_the_fingers_is_measured_on_the_objects_asked_for() -> N
 
 
 def _asked(model: str, scene: int, width: float, proposed: list[float], final: list[float]) -> Asked:
-    return Asked(model, scene, width, np.array(proposed), np.array(final))
+    return Asked(model, scene, width, np.array(proposed), np.array(final), np.array(final[:1]))
 
 
 def test_shares_are_of_all_proposals_with_errors_over_scenes() -> None:
@@ -88,6 +88,7 @@ def test_random_hands_need_more_than_the_gripper_opens(tiny: SceneArchive, here:
     narrow, wide = run_too_wide(tiny, settings, here)
     assert (narrow.model, narrow.scene, narrow.width, wide.width) == ("random", 0, 0.04, 0.12)
     assert len(narrow.proposed) > 20 and len(narrow.final) < len(narrow.proposed)
+    assert narrow.best.tolist() == narrow.final[: len(narrow.best)].tolist()
     row = summarise_too_wide([narrow])[0]
     assert row.proposed.above_told.mean > 0.5  # nothing tells a random hand how wide the object is
     assert row.final.count == 0 or row.final.above_told.mean < row.proposed.above_told.mean  # the checks find many
