@@ -111,7 +111,7 @@ def test_core_imports_no_ros() -> None:
 
 def test_every_python_package_that_is_imported_is_declared() -> None:
     learning = [*sources("regnet_core/training"), ROOT / "regnet_core" / "cli" / "train.py"]
-    data_only = sources("regnet_core/data", "regnet_core/evaluation", "regnet_core/sim")
+    data_only = sources("regnet_core/data", "regnet_core/evaluation", "regnet_core/picking", "regnet_core/sim")
     robots = sources("regnet_core/robots")
     always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only + robots + learning]
     data = requirements(None) | requirements("data")
