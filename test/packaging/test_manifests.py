@@ -27,7 +27,7 @@ DISTRIBUTIONS = {
 ROSDEP = {"numpy": "python3-numpy", "pillow": "python3-pil", "pyyaml": "python3-yaml", "scipy": "python3-scipy"}
 # Import names of ROS packages that are called otherwise.
 ROS_MODULES = {"tf2_ros_py": "tf2_ros"}
-OWN = {"regnet_core", "regnet_ros"}
+OWN = {"benchmarks", "regnet_core", "regnet_ros"}
 
 
 def normal(name: str) -> str:
@@ -123,7 +123,7 @@ def test_every_python_package_that_is_imported_is_declared() -> None:
         ([path for path in data_only if path not in learning], data | requirements("cluster"), set()),
         (robots, data | arms, set()),
         (learning, data | train, set()),
-        (sources("tools", "test"), everything | train, ros_dependencies("test_depend")),
+        (sources("benchmarks", "tools", "test"), everything | train, ros_dependencies("test_depend")),
     ):
         known = {path.stem for path in files} | packages | {ROS_MODULES.get(name, name) for name in packages}
         for name, path in third_party(files).items():
