@@ -174,7 +174,7 @@ def hidden_share(grasps: Grasps, gripper: Gripper, observation: Observation) -> 
         local = np.zeros((len(grasps), _ALONG, len(across), 3))
         local[..., 0], local[..., 1] = x[:, None], y[:, None]
         points = np.einsum("mij,mabj->mabi", grasps.rotation, local) + grasps.translation[:, None, None]
-        shares.append(observation.hidden(points.reshape(-1, 3)).reshape(len(grasps), -1).mean(axis=1))
+        shares.append(observation.hidden(points.reshape(-1, 3)).reshape(points.shape[:-1]).mean(axis=(1, 2)))
     return np.maximum(*shares)
 
 
