@@ -78,14 +78,21 @@ class RefinementConfig:
     """The area looked at is the closing area grown by this on every side [m]: what the hand may hit comes in sight."""
     point_features: bool = False
     """Whether the points bring the backbone's features with them; otherwise only where they are (and their colours)."""
-    candidates: int = 1
-    """How many anchors of each region are refined, the likeliest ones; the best of them after that is the region's."""
     passes: int = 1
-    """How often proposals are refined, each time from what the last one made of the region's best."""
+    """How often proposals are refined, each time from what the last pass made of them."""
+    proposals: tuple[int, ...] = ()
+    """The most proposals of a cloud that each pass refines, those of which the best is expected; the others are given
+    up. Empty: all of them, as in the paper. In training it is always all."""
 
     def __post_init__(self) -> None:
-        for name in ("points", "candidates", "passes"):
+        for name in ("points", "passes"):
             check_range(name, getattr(self, name), 1)
+        if self.proposals and len(self.proposals) != self.passes:
+            raise InvalidInputError(
+                f"proposals must have a number for each of the {self.passes} passes, got {self.proposals!r}"
+            )
+        for count in self.proposals:
+            check_range("proposals", count, 1)
         _check_channels("the channels of the refinement", self.channels)
         if self.fusion:
             _check_channels("fusion", self.fusion)

@@ -14,14 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-TILE = 8192
-"""Rows that go through the layers together when nothing is kept for gradients: what they become stays in the
-processor's cache, and in memory that need not be asked for anew."""
-
-
-def in_one_go(rows: int) -> bool:
-    """Whether so many rows should go through the layers together."""
-    return torch.is_grad_enabled() or rows <= TILE
+from regnet_core.nn.tiles import TILE, in_one_go, over_tiles
 
 
 class LinearPart(NamedTuple):
@@ -107,8 +100,8 @@ class Mlp(nn.ModuleList):
         super().__init__(DenseLayer(a, b) for a, b in pairwise(sizes))
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        if not in_one_go(len(rows)):
-            return torch.cat([self.forward(part) for part in rows.split(TILE)])
+        if not in_one_go(rows):
+            return over_tiles(self.forward, rows.split(TILE))
         return self.finish(functional.linear(rows, *self.linear_part()))
 
     def linear_part(self) -> LinearPart:
@@ -117,8 +110,8 @@ class Mlp(nn.ModuleList):
 
     def finish(self, product: torch.Tensor) -> torch.Tensor:
         """The output, given what the first layer's linear part gives, which is overwritten."""
-        if not in_one_go(len(product)):
-            return torch.cat([self.finish(part) for part in product.split(TILE)])
+        if not in_one_go(product):
+            return over_tiles(self.finish, product.split(TILE))
         rows = cast(DenseLayer, self[0]).finish(product)
         for layer in list(self)[1:]:
             rows = layer(rows)

@@ -21,8 +21,10 @@ from regnet_core.nn.results import (
     Proposed,
     Refined,
     StagePrediction,
+    best_of_clouds,
     best_of_regions,
     expected_quality,
+    refined_quality,
 )
 
 
@@ -57,10 +59,10 @@ class RegNet(nn.Module):
         proposed = self.propose(clouds, hierarchy, eligible=eligible)
         if self.config.refinement is None:
             return Output(proposed, self.best_anchors(proposed), None)
-        candidates = self.best_anchors(proposed, self.config.refinement.candidates)
+        candidates = self.first_candidates(proposed)
         refined = self.refine(candidates, proposed, clouds, gripper)
-        for _ in range(self.config.refinement.passes - 1):
-            candidates = self.best_refined(candidates, refined)
+        for number in range(1, self.config.refinement.passes):
+            candidates = self.next_candidates(candidates, refined, proposed, number)
             refined = self.refine(candidates, proposed, clouds, gripper)
         return Output(proposed, candidates, refined)
 
@@ -114,10 +116,26 @@ class RegNet(nn.Module):
     def best_refined(self, candidates: Candidates, refined: Refined) -> Candidates:
         """The refined proposal (R,) of each region that is expected to be the best, to go on from."""
         rows = best_of_regions(candidates, refined)
-        pose = self.refined_pose(candidates, refined)
-        return Candidates(
-            Pose(pose.rotation[rows], pose.translation[rows]), candidates.region[rows], candidates.anchor[rows]
-        )
+        return candidates._replace(pose=self.refined_pose(candidates, refined)).take(rows)
+
+    def first_candidates(self, proposed: Proposed) -> Candidates:
+        """What goes into the first pass of the refinement: the best anchor of each region, of the best regions."""
+        candidates = self.best_anchors(proposed)
+        quality = expected_quality(proposed.anchors)[candidates.region, candidates.anchor]
+        return self._most_promising(candidates, quality, proposed, 0)
+
+    def next_candidates(self, candidates: Candidates, refined: Refined, proposed: Proposed, number: int) -> Candidates:
+        """What goes into the refinement's pass of that number: the best of what the pass before made."""
+        quality = refined_quality(refined)[best_of_regions(candidates, refined)]
+        return self._most_promising(self.best_refined(candidates, refined), quality, proposed, number)
+
+    def _most_promising(
+        self, candidates: Candidates, quality: torch.Tensor, proposed: Proposed, number: int
+    ) -> Candidates:
+        refinement = self.config.refinement
+        if refinement is None or not refinement.proposals:
+            return candidates
+        return best_of_clouds(candidates, quality, proposed.regions, refinement.proposals[number])
 
     def refine(
         self, candidates: Candidates, proposed: Proposed, clouds: Clouds, gripper: Gripper | None = None

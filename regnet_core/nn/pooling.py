@@ -20,7 +20,8 @@ from itertools import pairwise
 import torch
 from torch.nn import functional
 
-from regnet_core.nn.layers import TILE, DenseLayer, Mlp, in_one_go
+from regnet_core.nn.layers import DenseLayer, Mlp
+from regnet_core.nn.tiles import TILE, in_one_go, over_tiles
 from regnet_core.ops.neighbourhoods import Neighbourhoods
 from regnet_core.ops.segments import rectified_segment_max, segment_max
 
@@ -55,9 +56,9 @@ class PooledMlp(Mlp):
                 product = torch.addmm(once.index_select(0, near.indices), brought, for_own.t())
             return self._maximum(product, near.offsets)
 
-        if in_one_go(len(neighbours.indices)):
+        if in_one_go(neighbours.indices):
             return tile(slice(None), neighbours)
-        return torch.cat([tile(*part) for part in neighbours.tiles(TILE)])
+        return over_tiles(lambda part: tile(*part), neighbours.tiles(TILE))
 
     def _maximum(self, product: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
         """The end of it, given what the first layer's linear part gives."""

@@ -83,13 +83,12 @@ class RefineNetwork(nn.Module):
 
     def _own_features(self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, clouds: Clouds) -> torch.Tensor:
         """(E, 3 + C): positions in the grasp frame, the width, the colours, and the local shapes in the grasp frame."""
-        seen = seen_from_grasps(clouds.points, clouds.shapes, pose.rotation, pose.translation, near)
-        parts = [seen[:, :3] / _UNIT]
-        if self.config.width:
-            parts.append(width_feature(clouds.width)[cloud[near.centres()], None])
-        if self.config.colour and clouds.colors is not None:
-            parts.append(clouds.colors.index_select(0, near.indices) * 2.0 - 1.0)
-        return torch.cat([*parts, seen[:, 3:]], dim=1)
+        width = width_feature(clouds.width)[cloud, None] if self.config.width else None
+        seen = seen_from_grasps(clouds.points, clouds.shapes, pose.rotation, pose.translation, near, _UNIT, width)
+        if not self.config.colour or clouds.colors is None:
+            return seen
+        colours, first = clouds.colors.index_select(0, near.indices) * 2.0 - 1.0, 3 + int(self.config.width)
+        return torch.cat([seen[:, :first], colours, seen[:, first:]], dim=1)
 
 
 @torch.no_grad()

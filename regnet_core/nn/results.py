@@ -55,9 +55,14 @@ class Candidates(NamedTuple):
     pose: Pose
     """(G, 3, 3) and (G, 3) [m]."""
     region: torch.Tensor
-    """(G,) int64: the region that each comes from; as many of every region, in the regions' order."""
+    """(G,) int64: the region that each comes from, ascending."""
     anchor: torch.Tensor
     """(G,) int64: the region's anchor that each comes from."""
+
+    def take(self, rows: torch.Tensor) -> Candidates:
+        """Some of them."""
+        pose = Pose(self.pose.rotation[rows], self.pose.translation[rows])
+        return Candidates(pose, self.region[rows], self.anchor[rows])
 
 
 class Refined(NamedTuple):
@@ -85,9 +90,24 @@ def expected_quality(prediction: StagePrediction) -> torch.Tensor:
 
 
 def best_of_regions(candidates: Candidates, refined: Refined) -> torch.Tensor:
-    """The row (R,) of each region's best refined proposal."""
-    if len(candidates.region) == 0:
-        return candidates.region
-    each = int((candidates.region == candidates.region[0]).sum())
-    quality = torch.where(refined.occupied, refined.prediction.quality, -torch.inf).reshape(-1, each)
-    return quality.argmax(dim=1) + each * torch.arange(len(quality), device=quality.device)
+    """The row (R,) of the best refined proposal of each region that has any, in the order of the regions."""
+    region = candidates.region
+    best_first = refined_quality(refined).argsort(descending=True, stable=True)
+    rows = best_first[region[best_first].argsort(stable=True)]
+    first = torch.ones_like(rows, dtype=torch.bool)
+    first[1:] = region[rows[1:]] != region[rows[:-1]]
+    return rows[first]
+
+
+def refined_quality(refined: Refined) -> torch.Tensor:
+    """(G,) logit of s_q; without points in the closing area, the least there is."""
+    return torch.where(refined.occupied, refined.prediction.quality, -torch.inf)
+
+
+def best_of_clouds(candidates: Candidates, quality: torch.Tensor, regions: Regions, most: int) -> Candidates:
+    """At most so many proposals of each cloud, those of the highest quality (G,), in the order they had."""
+    cloud, kept = regions.cloud[candidates.region], torch.zeros_like(quality, dtype=torch.bool)
+    for one in range(len(regions.offsets) - 1):
+        own = (cloud == one).nonzero().squeeze(1)
+        kept[own[quality[own].argsort(descending=True, stable=True)[:most]]] = True
+    return candidates.take(kept.nonzero().squeeze(1))

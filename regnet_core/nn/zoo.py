@@ -59,8 +59,8 @@ REGNETV2_S = NetworkConfig(
         fusion=(192,),
         margin=0.01,
         point_features=True,
-        candidates=2,
         passes=2,
+        proposals=(768, 384),
     ),
 )
 """Compact: what two cores of a CPU train, and run in real time."""

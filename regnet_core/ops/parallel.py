@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
+from threading import local
 
 _limit: int | None = None
+_thread = local()
+"""What is said of the thread that asks."""
 
 
 def use_cores(count: int) -> None:
@@ -38,9 +42,24 @@ def _forget() -> None:
     available_cores.cache_clear()
 
 
-if hasattr(os, "register_at_fork"):
-    # A forked process inherits the pool but not its threads: work given to it would wait for ever.
-    os.register_at_fork(after_in_child=_forget)
+def forget_at_fork(forget: Callable[[], None]) -> None:
+    """Call this in every forked process: it inherits a pool but not its threads, and work given to it would wait for
+    ever."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=forget)
+
+
+forget_at_fork(_forget)
+
+
+@contextmanager
+def on_one_core() -> Iterator[None]:
+    """Within this context loops of this thread use its own core alone, as the others have work already."""
+    _thread.alone = True
+    try:
+        yield
+    finally:
+        _thread.alone = False
 
 
 def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 256) -> None:
@@ -51,7 +70,7 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
     threads at a time, which the callbacks of a ROS executor do.
     """
     pieces = min(available_cores() * 4, max(1, count // least))
-    if pieces == 1:
+    if pieces == 1 or getattr(_thread, "alone", False):
         kernel(0, count)
         return
     bounds = [count * i // pieces for i in range(pieces + 1)]

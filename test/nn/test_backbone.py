@@ -10,14 +10,14 @@ from scenes import batch, tabletop
 from benchmarks import padded
 from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.gripper import Gripper
-from regnet_core.nn import layers, pooling, refinement
+from regnet_core.nn import layers, pooling, refinement, tiles
 from regnet_core.nn.anchors import CoderConfig
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig, RefinementConfig, RegionConfig
 from regnet_core.nn.hierarchy import build_hierarchy
 from regnet_core.nn.layers import DenseLayer
 from regnet_core.nn.network import RegNet
-from regnet_core.nn.results import Output
+from regnet_core.nn.results import Output, expected_quality
 from regnet_core.nn.zoo import NETWORKS, WITHOUT_ANCHORS, network_config
 from regnet_core.ops import ball_query, box_query, farthest_points, grasp_frame, interpolation, segments
 
@@ -137,6 +137,28 @@ def test_a_batch_gives_what_its_clouds_give() -> None:
         close(together.refined.prediction.residual[some], one.refined.prediction.residual)
 
 
+def test_most_promising_proposals_of_each_cloud_are_refined() -> None:
+    refinement = dataclasses.replace(REFINEMENT, passes=2)
+    clouds = batch(1500, 900)
+    every = TINY.replace(colour=True, refinement=refinement)
+    some = every.replace(refinement=dataclasses.replace(refinement, proposals=(30, 11)))
+    full, net = network(every), network(some)
+    with torch.no_grad():
+        proposed = full.propose(clouds)
+        candidates = full.best_anchors(proposed)
+        quality = expected_quality(proposed.anchors)[candidates.region, candidates.anchor].reshape(2, 40)
+        chosen = torch.cat([cloud.topk(30).indices.sort().values + 40 * i for i, cloud in enumerate(quality)])
+        first = full.refine(candidates.take(chosen), proposed, clouds)
+        worth = torch.where(first.occupied, first.prediction.quality, -torch.inf)
+        region = candidates.region[chosen]
+        best = torch.full((80,), -torch.inf).scatter_reduce(0, region, worth, "amax").reshape(2, 40)
+        expected = torch.cat([cloud.topk(11).indices.sort().values + 40 * i for i, cloud in enumerate(best)])
+        output = net(clouds)
+    assert torch.equal(output.candidates.region, expected)
+    assert output.refined is not None and len(output.refined.occupied) == 22
+    assert len(full(clouds).candidates.region) == 80
+
+
 def test_positive_points_are_the_most_confident_of_their_layer() -> None:
     for layer, candidates in ((1, 1500), (2, 300), (3, 80)):
         net, clouds = network(TINY.replace(layer=layer)), batch(1500)
@@ -229,7 +251,7 @@ def test_tiles_do_not_change_the_result(config: NetworkConfig, monkeypatch: pyte
     net, clouds = network(config), batch(1500, 300)
     with torch.no_grad():
         expected = net(clouds)
-        for module in (layers, pooling):
+        for module in (layers, pooling, tiles):
             monkeypatch.setattr(module, "TILE", 37)
         found = net(clouds, hierarchy=expected.proposed.hierarchy)
     for a, b in zip(numbers(found), numbers(expected), strict=True):
@@ -301,11 +323,12 @@ def test_folded_normalisation_equals_the_layers_themselves() -> None:
 @pytest.mark.parametrize("name", ["regnetv2", "regnetv2-s", "regnetv2-s-layer2"])
 def test_a_cloud_of_full_size(name: str) -> None:
     net, clouds = network(network_config(name)), batch(25600, side=0.7)
+    count = {"regnetv2": 768}.get(name, 384)
     for enabled in (False, True):
         with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=enabled):
             output = net(clouds)
         assert output.proposed.confidence.shape == (25600,) and output.proposed.anchors.residual.shape == (768, 4, 8)
-        assert output.refined is not None and output.refined.prediction.residual.shape == (768, 8)
+        assert output.refined is not None and output.refined.prediction.residual.shape == (count, 8)
 
 
 def test_networks_by_name() -> None:

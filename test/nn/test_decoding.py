@@ -28,7 +28,7 @@ def test_what_stays_is_spread_and_covers_what_goes() -> None:
 def _refined(quality: list[float], occupied: list[bool]) -> Refined:
     count = len(quality)
     prediction = StagePrediction(torch.zeros(count), torch.zeros(count, RESIDUALS), torch.tensor(quality))
-    return Refined(prediction, torch.tensor(occupied))
+    return Refined(prediction, torch.tensor(occupied, dtype=torch.bool))
 
 
 def test_the_best_of_a_region_sees_something_between_its_fingers() -> None:

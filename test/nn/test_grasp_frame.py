@@ -19,21 +19,27 @@ def scene() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return points, square + square.transpose(1, 2), rotation, translation
 
 
-@pytest.mark.parametrize("look", [seen_from_grasps, seen_from_grasps_in_torch])
-def test_places_and_shapes_by_the_definition(look) -> None:  # type: ignore[no-untyped-def]
+NOTHING = torch.zeros(3, 0)
+both = pytest.mark.parametrize("look", [seen_from_grasps, seen_from_grasps_in_torch])
+
+
+@both
+def test_places_numbers_and_shapes_by_the_definition(look) -> None:  # type: ignore[no-untyped-def]
     points, shapes, rotation, translation = scene()
-    seen = look(points, shapes, rotation, translation, NEAR)
+    carried = torch.tensor([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    seen = look(points, shapes, rotation, translation, NEAR, 0.5, carried)
     for e, (row, g) in enumerate(zip(NEAR.indices.tolist(), OWNERS, strict=True)):
         r = rotation[g].double()
-        place = r.T @ (points[row] - translation[g]).double()
+        place = r.T @ (points[row] - translation[g]).double() / 0.5
         shape = unique_entries((r.T @ shapes[row].double() @ r)[None])[0]
-        torch.testing.assert_close(seen[e].double(), torch.cat([place, shape]), atol=1e-5, rtol=1e-5)
+        expected = torch.cat([place, carried[g].double(), shape])
+        torch.testing.assert_close(seen[e].double(), expected, atol=1e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("look", [seen_from_grasps, seen_from_grasps_in_torch])
+@both
 def test_without_shapes_and_without_points(look) -> None:  # type: ignore[no-untyped-def]
     points, shapes, rotation, translation = scene()
-    with_shapes = look(points, shapes, rotation, translation, NEAR)
-    assert torch.equal(look(points, None, rotation, translation, NEAR), with_shapes[:, :3])
+    with_shapes = look(points, shapes, rotation, translation, NEAR, 1.0, NOTHING)
+    assert torch.equal(look(points, None, rotation, translation, NEAR, 1.0, NOTHING), with_shapes[:, :3])
     nothing = Neighbourhoods(torch.zeros(0, dtype=torch.int64), torch.zeros(4, dtype=torch.int64))
-    assert look(points, shapes, rotation, translation, nothing).shape == (0, 9)
+    assert look(points, shapes, rotation, translation, nothing, 1.0, NOTHING).shape == (0, 9)
