@@ -94,10 +94,13 @@ class ReferenceTask:
         refinement = network.config.refinement
         if refinement is None:
             return logits, confidence
-        candidates = network.best_anchors(proposed, network.config.anchors if all_anchors else refinement.candidates)
+        if all_anchors:
+            candidates = network.best_anchors(proposed, network.config.anchors)
+        else:
+            candidates = network.first_candidates(proposed)
         refined = self._refine(candidates, proposed, clouds)
-        for _ in range(refinement.passes - 1):
-            candidates = network.best_refined(candidates, refined)
+        for number in range(1, refinement.passes):
+            candidates = network.next_candidates(candidates, refined, proposed, number)
             refined = self._refine(candidates, proposed, clouds)
         return refined.prediction.logit, confidence
 

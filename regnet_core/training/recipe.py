@@ -52,6 +52,9 @@ class Recipe:
     """Points drawn from a view."""
     regions: int = 128
     """Positive points of each view that the second and third stage learn at."""
+    candidates: int = 2
+    """Anchors of each of their regions whose poses the third stage learns from, the likeliest ones. In detection it
+    refines the likeliest one."""
     between: float = 0.5
     """Share of the samples that are for a width between those of the labels, drawn anew every time."""
     judged: bool = True
@@ -70,7 +73,7 @@ class Recipe:
     matching: MatchConfig = field(default_factory=MatchConfig)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "points", "regions"):
+        for name in ("steps", "batch", "points", "regions", "candidates"):
             check_range(name, getattr(self, name), 1)
         check_range("between", self.between, 0.0, 1.0)
         check_range("learning_rate", self.learning_rate, 1e-8, 1.0)

@@ -68,7 +68,7 @@ def batch_losses(
     lesson = _Lesson(network, batch, recipe, judge, LabelledGrasps.of(batch, recipe.matching))
     score = score_loss(proposed.confidence, batch.confidence.reshape(-1), recipe.losses)
     refinement = network.config.refinement
-    candidates = network.best_anchors(proposed, 1 if refinement is None else refinement.candidates)
+    candidates = network.best_anchors(proposed, 1 if refinement is None else recipe.candidates)
     grasp, quality = lesson.of_anchors(proposed, candidates)
     total, passes = score + grasp.total, []
     for _ in range(0 if refinement is None else refinement.passes):
