@@ -48,6 +48,16 @@ def train(
             rich_help_panel=_RECIPE,
         ),
     ] = None,
+    gripper_width: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--gripper-width",
+            "-w",
+            help="Only for this width of the data set's, in metres; give it several times.",
+            show_default="all of them, and others between; a baseline's own",
+            rich_help_panel=_RECIPE,
+        ),
+    ] = None,
     points: Annotated[
         int | None,
         typer.Option(help="Points of a view.", show_default="what the network is made for", rich_help_panel=_RECIPE),
@@ -89,13 +99,16 @@ def train(
     if config in LEARNED:
         if start is not None:
             raise InvalidInputError(f"--start is for networks; '{config}' starts from random weights")
+        if gripper_width:
+            raise InvalidInputError(f"--gripper-width is for networks; '{config}' has a width of its own")
         _train_baseline(
             config, where | {"points": points, "examples": examples, "device": device}, recipe, resume, quiet
         )
     else:
         if examples is not None:
             raise InvalidInputError(f"--examples is for baselines that classify hands; '{config}' is none")
-        _train_network(config, where | {"start": start}, recipe | {"points": points}, device, resume, quiet)
+        own: dict[str, Any] = {"points": points, "widths": tuple(gripper_width or ())}
+        _train_network(config, where | {"start": start}, recipe | own, device, resume, quiet)
 
 
 def _train_network(

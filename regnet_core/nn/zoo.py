@@ -25,12 +25,15 @@ last digit printed, but for Sv3 and Sv4, which would be rounded to 6.275 (test_l
 | regnetv2               | 6.511      | 242.5 | the paper's size, without colours     |
 | regnetv2-s             | 0.528      | 20.8  | 16384 points                          |
 | regnet                 | 6.510      | 157.1 | 64 regions instead of 768             |
+| regnet-s               | 0.528      | 5.3   | the same with the compact layers      |
 | regnetv2-no-anchors    | 6.507      | 173.5 | a fourth of the proposals to refine   |
 | regnetv2-no-region     | 6.511      | 242.5 |                                       |
 | regnetv2-no-refinement | 6.273      | 150.5 |                                       |
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from regnet_core.errors import ModelError
 from regnet_core.nn.anchors import CoderConfig
@@ -41,6 +44,10 @@ WITHOUT_ANCHORS = CoderConfig(anchors=((1.0, 0.0, 0.0),))
 
 REGNETV2 = NetworkConfig()
 """The paper's size."""
+
+COMPACT_REFINEMENT = RefinementConfig(
+    channels=(96, 96, 192), fusion=(192,), margin=0.01, point_features=True, passes=2, proposals=(768, 384)
+)
 
 REGNETV2_S = NetworkConfig(
     name="regnetv2-s",
@@ -54,19 +61,17 @@ REGNETV2_S = NetworkConfig(
     ),
     propagations=((256, 256), (128, 128), (128, 128)),
     head=(128, 64),
-    refinement=RefinementConfig(
-        channels=(96, 96, 192),
-        fusion=(192,),
-        margin=0.01,
-        point_features=True,
-        passes=2,
-        proposals=(768, 384),
-    ),
+    refinement=COMPACT_REFINEMENT,
 )
 """Compact: what two cores of a CPU train, and run in real time."""
 
 REGNET_V1 = REGNETV2.replace(name="regnet", width=False, positives=64)
 """The first version: for one width, and 64 regions."""
+
+REGNET_V1_S = REGNETV2_S.replace(
+    name="regnet-s", width=False, positives=64, refinement=replace(COMPACT_REFINEMENT, proposals=())
+)
+"""The first version with the compact layers."""
 
 ABLATIONS = {
     "regnetv2-no-anchors": REGNETV2.replace(name="regnetv2-no-anchors", coder=WITHOUT_ANCHORS),
@@ -80,6 +85,7 @@ NETWORKS = {
     REGNETV2_S.name: REGNETV2_S,
     **{f"regnetv2-s-layer{n}": REGNETV2_S.replace(name=f"regnetv2-s-layer{n}", layer=n, spacing=0.015) for n in (2, 3)},
     REGNET_V1.name: REGNET_V1,
+    REGNET_V1_S.name: REGNET_V1_S,
     "regnetv2-s-no-width": REGNETV2_S.replace(name="regnetv2-s-no-width", width=False),
     **ABLATIONS,
 }

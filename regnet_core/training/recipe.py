@@ -57,6 +57,8 @@ class Recipe:
     refines the likeliest one."""
     between: float = 0.5
     """Share of the samples that are for a width between those of the labels, drawn anew every time."""
+    widths: tuple[float, ...] = ()
+    """Only these of the data set's widths, and none between them [m]; empty: all of them."""
     judged: bool = True
     """Whether quality is learnt from the network's own proposals, judged on the true meshes; otherwise, as in the
     paper, from the labelled grasps that positive proposals are matched with."""
@@ -99,6 +101,7 @@ class Recipe:
             values["augmentation"] = Augmentation(**values.get("augmentation", {}))
             values["losses"] = LossConfig(**values.get("losses", {}))
             values["matching"] = MatchConfig(**values.get("matching", {}))
+            values["widths"] = tuple(values.get("widths", ()))
             return cls(**values)
         except TypeError as error:
             raise InvalidInputError(f"this is no recipe: {error}") from error

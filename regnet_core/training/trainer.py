@@ -90,7 +90,11 @@ class Trainer:
         if self.run.start is not None:
             self._start_from(self.run.start)
         self.dataset = GraspDataset(
-            self.run.data, self.recipe.points, seed=self.recipe.seed, between=self.recipe.between
+            self.run.data,
+            self.recipe.points,
+            widths=self.recipe.widths or None,
+            seed=self.recipe.seed,
+            between=0.0 if self.recipe.widths else self.recipe.between,
         )
         self._judge = BatchJudge(self.dataset.archive) if self.recipe.judged else None
         self._optimiser = torch.optim.AdamW(
@@ -144,7 +148,7 @@ class Trainer:
         """
         if self.run.validation is None:
             raise InvalidInputError("this run has no validation data: give some with --validation")
-        dataset = GraspDataset(self.run.validation, self.recipe.points)
+        dataset = GraspDataset(self.run.validation, self.recipe.points, widths=self.recipe.widths or None)
         samples = np.linspace(0, len(dataset) - 1, min(self.run.validation_samples, len(dataset))).round().astype(int)
         return mean_metrics(validate(self.network, dataset, samples.tolist(), self.device))
 

@@ -138,6 +138,13 @@ def test_samples_show_what_is_around_the_objects(data: Path) -> None:
     assert len(few.points.unique(dim=0)) == 3000
 
 
+def test_a_run_for_one_width_sees_no_other(data: Path, tmp_path: Path) -> None:
+    trainer = _trainer(data, tmp_path / "run", dataclasses.replace(RECIPE, widths=(0.08,), between=1.0))
+    assert {round(float(trainer.dataset[i].width), 6) for i in range(len(trainer.dataset))} == {0.08}
+    with pytest.raises(InvalidInputError, match=r"0\.07"):
+        _trainer(data, tmp_path / "run", dataclasses.replace(RECIPE, widths=(0.07,)))
+
+
 def test_widths_in_between_have_labels_that_fit(data: Path) -> None:
     dataset = GraspDataset(data, 500, between=1.0)
     widths = dataset.archive.widths
