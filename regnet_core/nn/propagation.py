@@ -13,6 +13,7 @@ from torch import nn
 from torch.nn import functional
 
 from regnet_core.nn.layers import Mlp
+from regnet_core.nn.tiles import in_one_go, over_tiles, tiles
 from regnet_core.ops.interpolation import Interpolation, interpolate
 
 
@@ -34,5 +35,10 @@ class FeaturePropagation(nn.Module):
             (N, C_out).
         """
         weight, bias = self.mlp.linear_part()
-        carried = interpolate(functional.linear(features, weight[:, : self.inputs]), how)
-        return self.mlp.finish(carried + functional.linear(skip, weight[:, self.inputs :], bias))
+        from_centroids, for_skip = functional.linear(features, weight[:, : self.inputs]), weight[:, self.inputs :]
+
+        def tile(rows: slice) -> torch.Tensor:
+            carried = interpolate(from_centroids, Interpolation(how.indices[rows], how.weights[rows]))
+            return self.mlp.finish(carried + functional.linear(skip[rows], for_skip, bias))
+
+        return tile(slice(None)) if in_one_go(skip) else over_tiles(tile, tiles(len(skip)))

@@ -27,6 +27,11 @@ def in_one_go(rows: torch.Tensor) -> bool:
     return len(rows) <= TILE or torch.is_grad_enabled() or rows.device.type != "cpu"
 
 
+def tiles(rows: int) -> list[slice]:
+    """So many rows in tiles."""
+    return [slice(start, min(start + TILE, rows)) for start in range(0, rows, TILE)]
+
+
 def over_tiles(work: Callable[[Part], torch.Tensor], parts: Iterable[Part]) -> torch.Tensor:
     """``torch.cat([work(part) for part in parts])``, several at a time; the result does not depend on how many."""
     cores = torch.get_num_threads()
