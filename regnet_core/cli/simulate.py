@@ -73,8 +73,9 @@ def simulate(
         float, typer.Option(help="Largest angle of approaches from straight down, in degrees.", rich_help_panel=_CELL)
     ] = 60.0,
     min_quality: Annotated[
-        float, typer.Option(help="Grasps of less quality are no grasps, 0 to 1.", rich_help_panel=_CELL)
-    ] = 0.0,
+        float,
+        typer.Option(help="Grasps of less quality, doubts included, are no grasps, 0 to 1.", rich_help_panel=_CELL),
+    ] = 0.4,
     known_bin: Annotated[
         bool,
         typer.Option(

@@ -34,7 +34,8 @@ class PlanConfig:
 
     Attributes:
         max_tilt: largest angle between an approach and straight down [rad].
-        min_quality: grasps that the method expects to be worse are no grasps.
+        min_quality: grasps of less quality are no grasps, be it that the method expects no better or that they are
+            doubted.
         margin: hands keep at least so far from the points of the cloud, but for the fingers' inner faces [m].
         inset: only what is at least this far from the walls and the floor of the bin is grasped [m].
         known_bin: whether grasps are left out whose hand would meet the bin, known from its drawing, on its way in, or
@@ -53,7 +54,7 @@ class PlanConfig:
     """
 
     max_tilt: float = math.radians(60.0)
-    min_quality: float = 0.0
+    min_quality: float = 0.4
     margin: float = 0.002
     inset: float = 0.005
     known_bin: bool = True
@@ -116,9 +117,7 @@ class GraspPlanner:
         self._config = config
         self._way = way
         self._boxes = cell.obstacles if config.known_bin else ()
-        self._filters = GraspFilters(
-            approach_max_angle=config.max_tilt, min_quality=config.min_quality, target=_target(cell, config.inset)
-        )
+        self._filters = GraspFilters(approach_max_angle=config.max_tilt, target=_target(cell, config.inset))
         self._failed: list[Array] = []
 
     def learn(self, grasp: Grasps, success: bool) -> None:
@@ -138,11 +137,17 @@ class GraspPlanner:
         if len(grasps) == 0:
             return Plan(Grasps.empty(), math.nan, 0, seconds, detection.report.reason)
         free = grasps[self._free(grasps, observation)]
-        chosen = select(self._doubted(free, observation), self._policy)
-        if chosen is None:
+        if len(free) == 0:
             reason = f"on their way in, the hands of all {len(grasps)} grasps would meet the bin or the observed cloud"
             return Plan(Grasps.empty(), math.nan, 0, seconds, reason)
-        return Plan(free[chosen.rank], chosen.score, len(free), seconds, "")
+        doubted = self._doubted(free, observation)
+        good = np.flatnonzero(doubted.quality >= self._config.min_quality)
+        chosen = select(doubted[good], self._policy)
+        if chosen is None:
+            best, least = doubted.quality.max(), self._config.min_quality
+            reason = f"the best of {len(free)} grasps has a quality of {best:.2f}, doubts included, less than {least:g}"
+            return Plan(Grasps.empty(), math.nan, 0, seconds, reason)
+        return Plan(free[good[chosen.rank]], chosen.score, len(good), seconds, "")
 
     def _free(self, grasps: Grasps, observation: Observation) -> Mask:
         """(M,): the hand meets nothing on its way."""

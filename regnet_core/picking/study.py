@@ -43,7 +43,7 @@ from regnet_core.weights import network_names, weights_file
 Progress = Callable[[int, int], None]
 """Called with the number of episodes that are done and of all."""
 _MOST_EPISODES = 1000
-PROTOCOL = "1"
+PROTOCOL = "2"
 """To be counted up with every change that gives other results under the same settings."""
 _DOMAIN = 0xB1
 """Sets the camera's noise apart from other random numbers."""

@@ -101,6 +101,19 @@ def test_no_way_in_is_free() -> None:
     assert plan.reason == "on their way in, the hands of all 1 grasps would meet the bin or the observed cloud"
 
 
+def test_grasps_of_too_little_quality_are_no_grasps() -> None:
+    high = FLOOR + 0.08
+    grasps = _grasps((0.0, 0.0, high), (0.1, 0.0, high), quality=[0.6, 0.5])
+    planner = _planner(grasps, check_way=False, min_quality=0.45, retry_trust=0.7)
+    assert planner.plan(_observation()).found == 2
+    planner.learn(grasps[:1], success=False)
+    assert planner.plan(_observation()).grasp.translation[0, 0] == pytest.approx(0.1)  # 0.6 * 0.7 < 0.45
+    planner.learn(grasps[1:], success=False)
+    plan = planner.plan(_observation())
+    assert len(plan.grasp) == 0
+    assert plan.reason == "the best of 2 grasps has a quality of 0.42, doubts included, less than 0.45"
+
+
 def test_grasps_near_a_failed_one_are_doubted_until_one_there_succeeds() -> None:
     high = FLOOR + 0.08
     grasps = _grasps((0.0, 0.0, high), (0.1, 0.0, high), quality=[0.9, 0.7])
