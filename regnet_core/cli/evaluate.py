@@ -28,7 +28,8 @@ def evaluate(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="One of `regnet models`, or the path of a network's .safetensors; give it several times.",
+            help="One of `regnet models`, the path of a network's .safetensors, or all: the paper's main table, as far "
+            "as there are weights; give it several times.",
             show_default=DEFAULT_MODEL,
             rich_help_panel=_WHAT,
         ),
@@ -51,6 +52,9 @@ def evaluate(
     ] = None,
     points: Annotated[int, typer.Option(help="Most points of a cloud.", rich_help_panel=_HOW)] = 25600,
     seed: Annotated[int, typer.Option(help="Of clouds and methods.", rich_help_panel=_HOW)] = 0,
+    seeds: Annotated[
+        int, typer.Option(help="So many times, with this seed and those that follow it.", rich_help_panel=_HOW)
+    ] = 1,
     device: Annotated[
         str, typer.Option(help="Where networks run: auto, cpu, cuda or cuda:N.", rich_help_panel=_HOW)
     ] = "auto",
@@ -65,7 +69,10 @@ def evaluate(
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Write all results to this .json.", rich_help_panel=_OUTPUT)] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the metrics against the width: .png.", rich_help_panel=_OUTPUT)
+        Path | None,
+        typer.Option(
+            help="Draw the metrics, against the width where there are several: .png.", rich_help_panel=_OUTPUT
+        ),
     ] = None,
     trained_widths: Annotated[
         str | None,
@@ -87,11 +94,12 @@ def evaluate(
         from regnet_core.data.storage.archive import SceneArchive
         from regnet_core.evaluation.document import study_document, write_document
         from regnet_core.evaluation.observed import RecordedViews
-        from regnet_core.evaluation.study import StudySettings, run_study
+        from regnet_core.evaluation.study import StudySettings, run_seeds
+        from regnet_core.evaluation.variants import network_records
     marked = _check_outputs(out, picture, trained_widths)
     archive = SceneArchive(data)
     settings = StudySettings(
-        models=tuple(model or [DEFAULT_MODEL]),
+        models=_methods(model or [DEFAULT_MODEL]),
         widths=tuple(width or archive.widths),
         scenes=_first(archive, scenes),
         all_views=_all_views(views),
@@ -102,11 +110,11 @@ def evaluate(
     )
     executor = LocalExecutor(workers)
     with _bar(quiet) as progress:
-        task = progress.add_task("evaluating", total=len(settings.scenes))
-        results = run_study(
-            archive, settings, executor, lambda done, total: progress.update(task, completed=done, total=total)
+        task = progress.add_task("evaluating", total=seeds * len(settings.scenes))
+        results = run_seeds(
+            archive, settings, seeds, executor, lambda done, total: progress.update(task, completed=done, total=total)
         )
-    document = study_document(archive, settings, results, executor.workers)
+    document = study_document(archive, settings, results, executor.workers, network_records(settings.models))
     print_evaluation(make_console(), document, by_width=by_width)
     if out is not None:
         write_document(out, document)
@@ -137,6 +145,18 @@ def _check_outputs(out: Path | None, picture: Path | None, trained_widths: str |
         ) from None
 
 
+def _methods(models: list[str]) -> tuple[str, ...]:
+    """With the methods of the main table for "all"."""
+    from regnet_core.evaluation.methods import ALL, main_table
+
+    if ALL not in models:
+        return tuple(models)
+    ready, missing = main_table()
+    if missing:
+        typer.echo(f"without weights, and left out: {', '.join(missing)}", err=True)
+    return (*ready, *(model for model in models if model != ALL and model not in ready))
+
+
 def _first(archive: SceneArchive, count: int | None) -> tuple[int, ...]:
     if not len(archive):
         raise InvalidInputError(f"'{archive.folder}' has no finished shard of scenes yet")
@@ -152,9 +172,13 @@ def _all_views(views: str) -> bool:
 
 
 def _draw(document: Mapping[str, Any], path: Path, trained_widths: Sequence[float]) -> None:
+    from regnet_core.evaluation.bars import draw_bars
     from regnet_core.evaluation.curves import draw_curves
 
-    draw_curves(document, path, trained_widths)
+    if len(document["settings"]["widths"]) > 1:
+        draw_curves(document, path, trained_widths)
+    else:
+        draw_bars(document, path)
     typer.echo(f"wrote {path}")
 
 

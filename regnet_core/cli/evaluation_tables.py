@@ -22,11 +22,19 @@ def print_evaluation(console: Console, document: Mapping[str, Any], *, by_width:
     summaries: Sequence[Row] = document["summaries"]
     every = [row for row in summaries if row["width"] is None and row["kind"] is None]
     single = [row for row in summaries if row["width"] is not None]
+    seeds = len(document["settings"]["seeds"])
     console.print(f"{every[0]['scenes']} scenes, {every[0]['results']} detections of each method, times in ms")
+    if seeds > 1:
+        console.print(f"± standard deviation over {seeds} seeds")
     console.print(metrics_table(every))
     if by_width:
         console.print(metrics_table(_by_width(single)))
     console.print(f"standard errors over scenes: {_errors(every)}", soft_wrap=True)
+    for lead in document["leads"]:
+        console.print(_lead(lead), soft_wrap=True)
+    if len(document["networks"]) > 1:
+        console.print()
+        console.print(networks_table(document["networks"]))
     if every[0]["held"] is not None:
         console.print("\nthe best grasp of each detection, executed")
         console.print(execution_table([*every, *(_by_width(single) if by_width else ())]))
@@ -37,9 +45,23 @@ def metrics_table(rows: Sequence[Row]) -> Table:
     wide = any(row["width"] is not None for row in rows)
     table = _table(wide, [*METRICS, "kept", *TIMES])
     for row in rows:
-        numbers = [_number(row[name], 4) for name in METRICS.values()]
+        numbers = [_with_spread(row[name], row["spread"][name]) for name in METRICS.values()]
         times = [_number(row[name], 0, 1000.0) for name in TIMES.values()]
         table.add_row(*_head(row, wide), *numbers, _number(row["kept"], 1), *times)
+    return table
+
+
+def networks_table(networks: Sequence[Row]) -> Table:
+    """What tells the networks apart, as in the paper's ablation table."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    table.add_column("network", overflow="fold")
+    for name in ("layer", "k1", "anchors", "region [cm]", "passes", "width", "colour", "parameters [M]", "GFLOP"):
+        table.add_column(name, justify="right")
+    for own in networks:
+        numbers = [str(own["layer"]), str(own["positives"]), str(own["anchors"]), _number(own["region"], 1, 100.0)]
+        flags = [str(own["passes"]), *("yes" if own[name] else "no" for name in ("width", "colour"))]
+        sizes = [_number(own["parameters"], 3, 1e-6), _number(own["flops"], 1, 1e-9)]
+        table.add_row(own["label"], *numbers, *flags, *sizes)
     return table
 
 
@@ -81,6 +103,17 @@ def _errors(rows: Sequence[Row]) -> str:
     found = {title: [row["errors"][name] for row in rows] for title, name in METRICS.items()}
     largest = {title: max((e for e in errors if e is not None), default=None) for title, errors in found.items()}
     return ", ".join(f"{title} {_number(error, 4)}" for title, error in largest.items()) + " at most"
+
+
+def _lead(lead: Row) -> str:
+    title = next(title for title, name in METRICS.items() if name == lead["metric"])
+    text = f"{title}: {lead['best']} leads {lead['second']} by {_number(lead['difference'], 4)}"
+    text += f", standard error over scenes {_number(lead['error'], 4)}"
+    return text if lead["spread"] is None else f"{text}, deviation over seeds {_number(lead['spread'], 4)}"
+
+
+def _with_spread(value: float | None, spread: float | None) -> str:
+    return _number(value, 4) if spread is None else f"{_number(value, 3)} ±{_number(spread, 3)}"
 
 
 def _number(value: float | None, digits: int, scale: float = 1.0) -> str:

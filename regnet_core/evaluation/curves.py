@@ -72,7 +72,7 @@ def draw_panel(axis: Axes, panel: Panel, rows: Sequence[Mapping[str, Any]], trai
     widths = sorted({100.0 * row["width"] for row in rows})
     step = _APART * min(np.diff(widths), default=1.0)
     for number, model in enumerate(models):
-        points = [(100.0 * row["width"], *_value(row, panel)) for row in rows if row["model"] == model]
+        points = [(100.0 * row["width"], *value_of(row, panel)) for row in rows if row["model"] == model]
         x, y, error = np.array(sorted(points), float).T
         x = x + step * (number - 0.5 * (len(models) - 1))
         axis.errorbar(
@@ -87,7 +87,7 @@ def draw_panel(axis: Axes, panel: Panel, rows: Sequence[Mapping[str, Any]], trai
     axis.set_axisbelow(True)
 
 
-def _value(row: Mapping[str, Any], panel: Panel) -> tuple[float, float]:
+def value_of(row: Mapping[str, Any], panel: Panel) -> tuple[float, float]:
     """Mean and standard error of a summary; NaN where there is none."""
     if panel is HELD:
         pair = (row["held"]["mean"], row["held"]["error"]) if row["held"] else (None, None)

@@ -16,29 +16,44 @@ from regnet_core.data.storage.archive import SceneArchive
 from regnet_core.data.storage.manifest import checksum, library_versions
 from regnet_core.data.storage.tars import write_whole
 from regnet_core.errors import InvalidInputError
+from regnet_core.evaluation.leads import leads
 from regnet_core.evaluation.metrics import SceneMetrics
 from regnet_core.evaluation.study import StudySettings, ViewResult, model_labels
 from regnet_core.evaluation.summary import Summary, summarise
 from regnet_core.models import is_weights_path
 from regnet_core.weights import network_names, weights_file
 
-FORMAT = "regnet-evaluation/1"
+FORMAT = "regnet-evaluation/2"
 _METRICS = tuple(field.name for field in fields(SceneMetrics))
 _DIGITS = 6
 """Of all numbers."""
 
 
 def study_document(
-    archive: SceneArchive, settings: StudySettings, results: Sequence[ViewResult], workers: int
+    archive: SceneArchive,
+    settings: StudySettings,
+    results: Sequence[ViewResult],
+    workers: int,
+    networks: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Everything that tables and figures are made of; NaN is null."""
+    """Everything that tables and figures are made of; NaN is null.
+
+    Args:
+        archive: the data set.
+        settings: of the study; where there were several seeds, with the first one.
+        results: of all seeds.
+        workers: how many processes there were.
+        networks: what tells the networks among the methods apart (``network_records``).
+    """
     return _plain(
         {
             "format": FORMAT,
-            "settings": settings_record(archive, settings),
+            "settings": settings_record(archive, settings) | {"seeds": sorted({result.seed for result in results})},
             "machine": {"workers": workers, "cores": os.cpu_count(), "processor": platform.machine()},
             "versions": {**library_versions(), "torch": _torch_version()},
             "summaries": [summary_record(summary) for summary in summarise(results)],
+            "leads": [asdict(lead) for lead in leads(results)],
+            "networks": list(networks),
             "views": {"columns": view_columns(), "rows": [view_row(result) for result in results]},
         }
     )
@@ -73,6 +88,7 @@ def summary_record(summary: Summary) -> dict[str, Any]:
         "scenes": summary.scenes,
         **means,
         "errors": dict(summary.errors),
+        "spread": dict(summary.spread),
         "proposal_seconds": summary.times.proposals,
         "processing_seconds": summary.times.processing,
         "total_seconds": summary.times.total,
@@ -82,13 +98,13 @@ def summary_record(summary: Summary) -> dict[str, Any]:
 
 def view_columns() -> list[str]:
     """Names of the columns of ``view_row``."""
-    return ["model", "scene", "view", "kind", *_METRICS, "proposal_seconds", "total_seconds", "outcome"]
+    return ["model", "seed", "scene", "view", "kind", *_METRICS, "proposal_seconds", "total_seconds", "outcome"]
 
 
 def view_row(result: ViewResult) -> list[Any]:
     """One result."""
     numbers = [getattr(result.metrics, name) for name in _METRICS]
-    return [result.model, result.scene, result.view, result.kind, *numbers, *result.times, result.outcome]
+    return [result.model, result.seed, result.scene, result.view, result.kind, *numbers, *result.times, result.outcome]
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:

@@ -6,7 +6,7 @@ sides. Of what is left ``points`` are drawn at random; fewer stay as they are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,6 +40,10 @@ class CloudSource(Protocol):
 
     def __call__(self, archive: SceneArchive, scene: int, view: int) -> ObservedCloud:
         """What camera ``view`` saw of the scene; the same at each call."""
+        ...
+
+    def seeded(self, seed: int) -> CloudSource:
+        """The same views, with another seed of what is random in them."""
         ...
 
     def settings(self) -> dict[str, Any]:
@@ -79,6 +83,9 @@ class RecordedViews:
         return ObservedCloud(
             points[chosen], seen.camera.position.copy(), Plane((0.0, 0.0, 1.0), float(info.table.upper[2]))
         )
+
+    def seeded(self, seed: int) -> RecordedViews:
+        return replace(self, seed=seed)
 
     def settings(self) -> dict[str, Any]:
         return {"clouds": "views of the data set", "points": self.points, "seed": self.seed}

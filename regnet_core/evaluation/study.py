@@ -8,10 +8,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 from typing import NamedTuple
 
+from regnet_core.checks import check_range
 from regnet_core.data.generation.executors import Executor
 from regnet_core.data.storage.archive import SceneArchive
 from regnet_core.detector import DetectorConfig, GraspDetector
@@ -119,6 +120,8 @@ class ViewResult:
     times: Times
     outcome: str | None = None
     """How the best grasp ended in physics (``Execution.outcome``); None where it was not to be tried."""
+    seed: int = 0
+    """Of the clouds and the methods."""
 
 
 def run_study(
@@ -137,6 +140,32 @@ def run_study(
         results[scene] = found
         progress(len(results), len(settings.scenes))
     return [result for scene in settings.scenes for result in results[scene]]
+
+
+def run_seeds(
+    archive: SceneArchive,
+    settings: StudySettings,
+    seeds: int,
+    executor: Executor,
+    progress: Progress = lambda done, total: None,
+) -> list[ViewResult]:
+    """The study so many times, with the settings' seed and those that follow it: other points of the same views, and
+    other random choices of the methods. Results are ordered by seed, then as those of ``run_study``.
+
+    Raises:
+        InvalidInputError: something that was asked for is not there.
+        EvaluationError: a scene could not be judged.
+    """
+    check_range("seeds", seeds, 1, 1000)
+    each, results = len(settings.scenes), list[ViewResult]()
+    for number, seed in enumerate(range(settings.seed, settings.seed + seeds)):
+
+        def shown(done: int, total: int, before: int = number * each) -> None:
+            progress(before + done, seeds * each)
+
+        own = replace(settings, seed=seed, clouds=settings.clouds.seeded(seed))
+        results += run_study(archive, own, executor, shown)
+    return results
 
 
 def judge_scene(shared: tuple[SceneArchive, StudySettings], scene: int) -> list[ViewResult]:
@@ -215,7 +244,7 @@ def _judge_scene(archive: SceneArchive, settings: StudySettings, index: int) -> 
                 )
                 outcome = execution.outcome(grasps, gripper, len(wanted)) if execution else None
                 times = Times.of(detection.report)
-                results.append(ViewResult(names[model], index, view, info.kind, metrics, times, outcome))
+                results.append(ViewResult(names[model], index, view, info.kind, metrics, times, outcome, settings.seed))
     return results
 
 

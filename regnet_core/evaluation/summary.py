@@ -53,7 +53,9 @@ class Summary:
     """How many scenes there are; ``means.scenes`` counts results, of which a scene may have several."""
     means: MeanMetrics
     errors: Mapping[str, float]
-    """Standard errors of SHARES."""
+    """Standard errors of SHARES over scenes."""
+    spread: Mapping[str, float]
+    """Standard deviations of the means of SHARES of each seed; NaN with a single seed."""
     times: Times
     """Means [s]."""
     held: Held | None
@@ -108,9 +110,22 @@ def _summary(own: Sequence[ViewResult], width: float | None, kind: str | None) -
         scenes=len(set(scenes)),
         means=mean_metrics(result.metrics for result in own),
         errors={name: estimate([getattr(result.metrics, name) for result in own], scenes).error for name in SHARES},
+        spread={name: _spread(own, name) for name in SHARES},
         times=Times(*times.tolist()),
         held=_held(own),
     )
+
+
+def spread_over_seeds(values: npt.ArrayLike, seeds: npt.ArrayLike) -> float:
+    """Standard deviation of the means of values (N,), NaN left out, of each seed (N,); NaN with a single seed."""
+    x, owner = np.asarray(values, np.float64), np.asarray(seeds)
+    there = ~np.isnan(x)
+    means = [x[there & (owner == seed)].mean() for seed in np.unique(owner[there])]
+    return float(np.std(means, ddof=1)) if len(means) > 1 else math.nan
+
+
+def _spread(own: Sequence[ViewResult], name: str) -> float:
+    return spread_over_seeds([getattr(result.metrics, name) for result in own], [result.seed for result in own])
 
 
 def _held(own: Sequence[ViewResult]) -> Held | None:

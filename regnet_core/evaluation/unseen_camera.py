@@ -7,7 +7,7 @@ says by how much this one is outside.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,6 +86,9 @@ class UnseenViews:
         points, pixels = seen.cloud()
         chosen = cropped_and_drawn(points, seen.object_ids.ravel()[pixels] != TABLE_ID, self.points, rng)
         return ObservedCloud(points[chosen], camera.position.copy(), Plane((0.0, 0.0, 1.0), there.table_height))
+
+    def seeded(self, seed: int) -> UnseenViews:
+        return replace(self, seed=seed)
 
     def settings(self) -> dict[str, Any]:
         return {"clouds": UNSEEN.name, "noise": self.noise, "points": self.points, "seed": self.seed}

@@ -19,6 +19,7 @@ from regnet_core.data.storage.archive import SceneArchive
 from regnet_core.errors import InvalidInputError, ModelError
 from regnet_core.evaluation.execution import NO_GRASP, Execution
 from regnet_core.evaluation.ground_truth import GroundTruth
+from regnet_core.evaluation.methods import MAIN_TABLE, main_table
 from regnet_core.evaluation.metrics import MetricConfig
 from regnet_core.evaluation.observed import RecordedViews
 from regnet_core.evaluation.study import (
@@ -27,11 +28,14 @@ from regnet_core.evaluation.study import (
     ViewResult,
     device_of,
     model_labels,
+    run_seeds,
     run_study,
     views_of,
 )
+from regnet_core.evaluation.variants import network_records
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.models import available_models
 from regnet_core.sim.outcome import Outcome
 
 DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -90,6 +94,31 @@ def test_a_network_is_judged_by_the_path_of_its_weights(tiny: SceneArchive, untr
     found = run_study(tiny, settings, here)
     assert [r.model for r in found] == ["untrained"] * 2 and all(r.times.proposals > 0.0 for r in found)
     assert without_times(run_study(tiny, settings, here)) == without_times(found)
+
+
+def test_each_seed_has_clouds_and_choices_of_its_own(tiny: SceneArchive, here: Any) -> None:
+    settings = dataclasses.replace(SETTINGS, widths=(0.10,), scenes=(0, 1), seed=3)
+    done: list[tuple[int, int]] = []
+    found = run_seeds(tiny, settings, 2, here, lambda *progress: done.append(progress))
+    assert [(r.seed, r.scene) for r in found[::2]] == [(3, 0), (3, 1), (4, 0), (4, 1)]
+    assert done[0] == (0, 4) and done[-1] == (4, 4)
+    alone = run_study(tiny, dataclasses.replace(settings, seed=4, clouds=RecordedViews(6000, 4)), here)
+    assert without_times(found[4:]) == without_times(alone) != without_times(found[:4])
+    with pytest.raises(InvalidInputError, match="seeds must be"):
+        run_seeds(tiny, settings, 0, here)
+
+
+def test_networks_are_told_apart_by_their_variant(untrained: Path) -> None:
+    (one,) = network_records(("antipodal", str(untrained)))
+    assert (one["label"], one["network"], one["layer"], one["region"]) == ("untrained", "regnetv2-s", 1, 0.02)
+    assert one["width"] and not one["colour"] and one["parameters"] == 527_923
+
+
+def test_main_table_has_what_there_are_weights_for() -> None:
+    ready, missing = main_table()
+    assert ready[:2] == ("random", "antipodal") and ready[-1] == "regnetv2-s"
+    assert set(ready) <= set(available_models()) and not set(missing) & set(available_models())
+    assert sorted(ready + missing) == sorted(MAIN_TABLE)
 
 
 def test_one_view_of_each_scene_in_turn_or_all() -> None:

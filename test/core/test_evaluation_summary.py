@@ -10,18 +10,27 @@ from PIL import Image
 
 from regnet_core.data.storage.archive import SceneArchive
 from regnet_core.errors import InvalidInputError
+from regnet_core.evaluation.bars import draw_bars
 from regnet_core.evaluation.curves import draw_curves
 from regnet_core.evaluation.document import read_document, study_document, write_document
+from regnet_core.evaluation.leads import leads
 from regnet_core.evaluation.metrics import SceneMetrics
 from regnet_core.evaluation.study import StudySettings, Times, ViewResult
 from regnet_core.evaluation.summary import estimate, summarise
 
 
 def result(
-    model: str, scene: int, width: float, cfr: float, outcome: str | None = None, kind: str = "pile", labels: int = 5
+    model: str,
+    scene: int,
+    width: float,
+    cfr: float,
+    outcome: str | None = None,
+    kind: str = "pile",
+    labels: int = 5,
+    seed: int = 0,
 ) -> ViewResult:
     metrics = SceneMetrics(width, 9, 9, 9, 9, labels, cfr, cfr / 2, cfr / 4, cfr / 5, cfr / 3)
-    return ViewResult(model, scene, 0, kind, metrics, Times(0.1 * (scene + 1), 0.3 * (scene + 1)), outcome)
+    return ViewResult(model, scene, 0, kind, metrics, Times(0.1 * (scene + 1), 0.3 * (scene + 1)), outcome, seed)
 
 
 def test_an_error_of_single_values_is_that_of_a_mean() -> None:
@@ -57,6 +66,35 @@ RESULTS = [
     result("a", 1, 0.08, 0.2, "held", kind="bin"),
     result("b", 1, 0.08, 0.1, "held", kind="bin"),
 ]
+
+
+SEEDS = [
+    result(model, scene, 0.08, cfr, seed=seed)
+    for seed, values in ((4, {"a": (0.9, 0.7), "b": (0.5, 0.5), "c": (0.1, 0.9)}),
+                         (5, {"a": (0.8, 0.8), "b": (0.4, 0.2), "c": (math.nan, 0.6)}))
+    for model, both in values.items()
+    for scene, cfr in enumerate(both)
+]  # fmt: skip
+
+
+def test_spread_is_that_of_the_seeds_means() -> None:
+    a, b, c = summarise(SEEDS)[:3]
+    assert a.spread["cfr"] == pytest.approx(0.0) and a.errors["cfr"] == pytest.approx(0.05)
+    assert b.spread["cfr"] == pytest.approx(np.std([0.5, 0.3], ddof=1))
+    assert c.spread["cfr"] == pytest.approx(np.std([0.5, 0.6], ddof=1))  # what is unknown is left out
+    assert all(math.isnan(value) for value in summarise(RESULTS)[0].spread.values())
+
+
+def test_lead_of_the_best_is_taken_scene_by_scene() -> None:
+    (lead, *others) = leads(SEEDS)
+    assert (lead.metric, lead.best, lead.second) == ("cfr", "a", "c")  # means 0.8, 0.4 and 0.533
+    # Scenes 0 and 1 of seed 4, and scene 1 of seed 5: in its scene 0 the second has no value.
+    differences, scenes = [0.8, -0.2, 0.2], [0, 1, 1]
+    assert lead.difference == pytest.approx(np.mean(differences))
+    assert lead.error == pytest.approx(estimate(differences, scenes).error)
+    assert lead.spread == pytest.approx(np.std([0.3, 0.2], ddof=1))
+    assert [other.metric for other in others] == ["antipodal", "antipodal_with_collisions", "coverage"]
+    assert leads([one for one in SEEDS if one.model == "a"]) == []
 
 
 def test_summaries_are_of_all_then_of_each_width_then_of_each_kind() -> None:
@@ -140,3 +178,12 @@ def test_the_picture_has_every_method_and_the_widths_of_the_training(tiny: Scene
     assert {(0x1B, 0x6E, 0x9C), (0xC0, 0x39, 0x2B)} <= colours
     assert executed.shape == unmarked.shape and (executed != unmarked).any(axis=2).sum() > 1000
     assert plain.shape[1] < executed.shape[1]  # one panel less across
+
+
+def test_one_width_is_drawn_as_bars(tiny: SceneArchive, tmp_path: Path) -> None:
+    settings = StudySettings(("a", "b", "c"), (0.08,), (0, 1))
+    path = tmp_path / "folder" / "bars.png"
+    draw_bars(study_document(tiny, settings, SEEDS, 1), path)
+    picture = np.asarray(Image.open(path).convert("RGB")).reshape(-1, 3)
+    first, second = (int((picture == colour).all(axis=1).sum()) for colour in ((0x1B, 0x6E, 0x9C), (0xC0, 0x39, 0x2B)))
+    assert first > second > 0  # a's bars are longer than b's
