@@ -12,6 +12,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from regnet_core.geometry import Array, Mask
 
+Index = npt.NDArray[np.int64]
+
+_DENSE = 4_000_000
+"""Up to so many cells are marked in an array; more are sorted."""
 _STRIDE = np.int64(1) << 31
 """Combines two cell indices into one key; points within 1000 m have far smaller indices."""
 
@@ -45,7 +49,7 @@ def cluster(points: Array, cell: float = 0.02) -> Clusters:
     if len(points) == 0:
         return Clusters(np.zeros(0, np.int64), np.zeros(0, np.int64))
     index = np.floor(points[:, :2] / cell).astype(np.int64)
-    keys, inverse = np.unique(index[:, 0] * _STRIDE + index[:, 1], return_inverse=True)
+    keys, inverse = _distinct(index[:, 0], index[:, 1])
     rows, columns = [], []
     for step in (np.int64(1), _STRIDE - 1, _STRIDE, _STRIDE + 1):
         found = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
@@ -54,8 +58,24 @@ def cluster(points: Array, cell: float = 0.02) -> Clusters:
         columns.append(found[touching])
     row, column = np.concatenate(rows), np.concatenate(columns)
     graph = coo_matrix((np.ones(len(row), np.int8), (row, column)), shape=(len(keys), len(keys)))
-    label = connected_components(graph, directed=False)[1].astype(np.int64)[inverse.reshape(-1)]
+    label = connected_components(graph, directed=False)[1].astype(np.int64)[inverse]
     return Clusters(label, np.bincount(label))
+
+
+def _distinct(i: Index, j: Index) -> tuple[Index, Index]:
+    """The keys i * _STRIDE + j of the cells that points (N,) are in, rising, and which of them is each point's (N,)."""
+    low_i, low_j = i.min(), j.min()
+    across = int(j.max() - low_j) + 1
+    count = (int(i.max() - low_i) + 1) * across
+    if count > _DENSE:
+        keys, inverse = np.unique(i * _STRIDE + j, return_inverse=True)
+        return keys, inverse.reshape(-1)
+    flat = (i - low_i) * across + (j - low_j)
+    number = np.zeros(count, np.int64)
+    number[flat] = 1
+    cells = np.flatnonzero(number)
+    number[cells] = np.arange(len(cells))
+    return (cells // across + low_i) * _STRIDE + (cells % across + low_j), number[flat]
 
 
 def structure(

@@ -11,12 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from regnet_core.geometry import Array, Plane
+from regnet_core.ops.columns import smoothed_columns, surface_voxels
+from regnet_core.ops.nearby import near_any
 from regnet_core.pointcloud import Index
 
 _MAX_VOXELS = 6_000_000
+_REACH = 2.5
+"""Where the smoothing ends [its standard deviations]."""
 
 
 class SolidModel(NamedTuple):
@@ -78,22 +81,18 @@ def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: fl
     np.maximum.at(top, (index[:, 0], index[:, 1]), height)
     top = np.where(top > 0, top, ndimage.grey_closing(top, size=(5, 5)))
     z = (np.arange(-pad, levels) + 0.5) * cell
-    occupied = (z < top[:, :, None]) & (top[:, :, None] > 0)
-    density = ndimage.gaussian_filter(occupied.astype(np.float32), smoothing, truncate=2.5)
-    return SolidModel(density, np.array([low[0], low[1], z[0]]), cell)
+    return SolidModel(smoothed_columns(top, z, smoothing, _REACH), np.array([low[0], low[1], z[0]]), cell)
 
 
 def hidden_surface(
     model: SolidModel, plane: Plane, observed: Array, *, clearance: float = 0.006, min_height: float = 0.004
 ) -> HiddenSurface:
     """The model's surface above the plane, where no observed point (N, 3) is nearer than ``clearance`` [m]."""
-    inside = model.density > 0.5
-    boundary = inside & ~ndimage.binary_erosion(inside)
-    index = np.argwhere(boundary)
-    grid = model.origin + index * model.cell
-    index, grid = index[grid[:, 2] > min_height], grid[grid[:, 2] > min_height]
+    levels = model.origin[2] + np.arange(model.density.shape[2]) * model.cell
+    index = surface_voxels(model.density, 0.5, int(np.count_nonzero(levels <= min_height)))
     if len(index) == 0:
         return HiddenSurface(np.zeros((0, 3)), np.zeros((0, 3)))
+    grid = model.origin + index * model.cell
     gradient = np.stack([_central_difference(model.density, index, axis) for axis in range(3)], axis=1)
     slope = np.linalg.norm(gradient, axis=1)
     usable = slope > 0.05
@@ -105,7 +104,7 @@ def hidden_surface(
     nx, ny, nz = plane.normal
     z = (plane.offset + surface[:, 2] - nx * surface[:, 0] - ny * surface[:, 1]) / nz
     points = np.column_stack([surface[:, :2], z])
-    far = cKDTree(observed).query(points, distance_upper_bound=clearance, workers=-1)[0] == np.inf
+    far = ~near_any(observed, points, clearance)
     return HiddenSurface(points[far], normals[far])
 
 

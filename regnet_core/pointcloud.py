@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
+from regnet_core.ops.rows import first_in_voxels, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
 from regnet_core.ops.voxel_grid import build_grid
 
@@ -43,10 +44,12 @@ def validate_points(points: npt.ArrayLike) -> ValidPoints:
     Raises:
         CloudError: the array is not numeric or not (N, 3).
     """
-    array = as_points(points).astype(np.float64, copy=False)
-    with np.errstate(invalid="ignore"):
-        rows = np.flatnonzero((np.abs(array) <= MAX_COORDINATE).all(axis=1))
-    return ValidPoints(array[rows], rows)
+    array = as_points(points)
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    array = np.ascontiguousarray(array)
+    rows = valid_rows(array, MAX_COORDINATE)
+    return ValidPoints(array[rows].astype(np.float64, copy=False), rows)
 
 
 def as_points(points: npt.ArrayLike) -> npt.NDArray[Any]:
@@ -127,13 +130,11 @@ def voxel_downsample(points: Array, size: float) -> Index:
         raise CloudError(f"the voxel size must be positive, got {size:g} m")
     if len(points) == 0:
         return np.zeros(0, np.int64)
-    cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-    shape = cells.max(axis=0) + 1
-    if float(np.prod(shape.astype(float))) < 2**62:
-        first = np.unique((cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2], return_index=True)[1]
-    else:
-        first = np.unique(cells, axis=0, return_index=True)[1]
-    return np.sort(first)
+    first = first_in_voxels(points, size)
+    if first is None:
+        cells = np.floor((points - points.min(axis=0)) / size)
+        first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return first
 
 
 AROUND = 0.10

@@ -5,22 +5,20 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from regnet_core.geometry import Array, Mask
+from regnet_core.geometry import Mask
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.precision import autocast
-from regnet_core.ops.ball_query import ball_query, point_grid
+from regnet_core.ops.nearby import near_any
 from regnet_core.pointcloud import surroundings
 from regnet_core.proposer import Proposals
 from regnet_core.scene import Scene
 
 _SAME = 0.004
 """A point this near to the surface of an object belongs to it [m]."""
-_CELL = 0.012
-"""Of the grid for finding that surface: smaller ones take more time to make than they save [m]."""
 
 
 class NetworkProposer:
@@ -44,7 +42,7 @@ class NetworkProposer:
         rows = surroundings(scene.points, scene.objects.points[scene.objects.observed])
         # In random order: a ball query keeps the first points that it finds, and cameras give them row after row.
         rows = rng.permutation(rows)[: self.network.config.points]
-        eligible = _near(scene.points[rows], scene.objects.points[seen])
+        eligible = near_any(scene.objects.points[seen], scene.points[rows], _SAME)
         if not eligible.any():
             return Proposals(Grasps.empty(), 0)
         clouds = self._clouds(scene, rows, gripper)
@@ -59,10 +57,3 @@ class NetworkProposer:
         if self.network.config.colour and scene.colors is not None:
             colors = [torch.from_numpy(scene.colors[rows]).float().to(self.device)]
         return Clouds.of([points], [gripper.width], colors)
-
-
-def _near(points: Array, surface: Array) -> Mask:
-    """Which points (N, 3) belong to a surface given by points (S, 3)."""
-    there = torch.from_numpy(np.ascontiguousarray(surface))
-    near = ball_query(there, torch.from_numpy(np.ascontiguousarray(points)), _SAME, 1, point_grid(there, _CELL))
-    return np.asarray(near.counts.numpy() > 0)

@@ -61,9 +61,7 @@ def local_planes(grid: VoxelGrid, queries: Array, radius: float) -> LocalPlanes:
         _moments(
             queries, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, count, mean, cov
         )
-        values, vectors = np.linalg.eigh(cov[start:stop])  # releases the GIL too
-        normal[start:stop] = vectors[:, :, 0]
-        roughness[start:stop] = np.sqrt(np.maximum(values[:, 0], 0.0))
+        _least_axes(cov, start, stop, normal, roughness)
 
     for_each_range(run, len(queries))
     return LocalPlanes(mean, normal, roughness, count)
@@ -108,3 +106,41 @@ def _moments(queries, radius, points, starts, origin, shape, cell, begin, end, c
         cov[q, 0, 1] = cov[q, 1, 0] = sxy / n - mx * my
         cov[q, 0, 2] = cov[q, 2, 0] = sxz / n - mx * mz
         cov[q, 1, 2] = cov[q, 2, 1] = syz / n - my * mz
+
+
+@compiled
+def _least_axes(tensors, begin, end, axis, root):  # type: ignore[no-untyped-def]
+    """Unit eigenvectors of the least eigenvalues of symmetric tensors, and the roots of these, by Jacobi rotations."""
+    a, v = np.empty((3, 3)), np.empty((3, 3))
+    for q in range(begin, end):
+        size = 0.0
+        for i in range(3):
+            for j in range(3):
+                a[i, j] = tensors[q, i, j]
+                v[i, j] = 1.0 if i == j else 0.0
+                size += a[i, j] * a[i, j]
+        for _ in range(12):  # four or five are enough
+            if a[0, 1] * a[0, 1] + a[0, 2] * a[0, 2] + a[1, 2] * a[1, 2] <= 1e-30 * size:
+                break
+            for i in range(2):
+                for j in range(i + 1, 3):
+                    if a[i, j] == 0.0:
+                        continue
+                    theta = (a[j, j] - a[i, i]) / (2.0 * a[i, j])
+                    t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                    c = 1.0 / np.sqrt(t * t + 1.0)
+                    s = t * c
+                    k = 3 - i - j
+                    a[i, i], a[j, j] = a[i, i] - t * a[i, j], a[j, j] + t * a[i, j]
+                    a[i, k], a[j, k] = c * a[i, k] - s * a[j, k], s * a[i, k] + c * a[j, k]
+                    a[k, i], a[k, j] = a[i, k], a[j, k]
+                    a[i, j] = a[j, i] = 0.0
+                    for r in range(3):
+                        v[r, i], v[r, j] = c * v[r, i] - s * v[r, j], s * v[r, i] + c * v[r, j]
+        least = 0
+        for i in range(1, 3):
+            if a[i, i] < a[least, least]:
+                least = i
+        for r in range(3):
+            axis[q, r] = v[r, least]
+        root[q] = np.sqrt(max(a[least, least], 0.0))

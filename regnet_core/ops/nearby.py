@@ -1,0 +1,48 @@
+"""Whether there is any point near others, which is found faster than the nearest one."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from regnet_core.geometry import Array
+from regnet_core.ops.compiled import compiled
+from regnet_core.ops.parallel import for_each_range
+from regnet_core.ops.voxel_grid import build_grid, cell_range
+
+_SMALLEST = 0.012
+"""Edge length of the grid's cells at least [m]: smaller ones take more time to make than they save."""
+
+
+def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.bool_]:
+    """(Q,): whether any of the points (N, 3) is within the radius of each query (Q, 3) [m]."""
+    near = np.zeros(len(queries), np.bool_)
+    grid = build_grid(np.asarray(points, np.float64), max(radius, _SMALLEST))
+    at = np.ascontiguousarray(queries, np.float64)
+
+    def run(start: int, stop: int) -> None:
+        _search(at, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, near)
+
+    for_each_range(run, len(at), least=512)
+    return near
+
+
+@compiled
+def _search(queries, radius, points, starts, origin, shape, cell, begin, end, near):  # type: ignore[no-untyped-def]
+    for q in range(begin, end):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
+        j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
+        k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
+        found = False
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                if found or k1 < k0:
+                    break
+                row = (i * shape[1] + j) * shape[2]
+                for p in range(starts[row + k0], starts[row + k1 + 1]):
+                    dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+                    if dx * dx + dy * dy + dz * dz <= radius * radius:
+                        found = True
+                        break
+        near[q] = found

@@ -1,0 +1,65 @@
+"""Which rows of a cloud stay: those that are numbers, and the first one in each voxel. One pass each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from regnet_core.geometry import Array
+from regnet_core.ops.compiled import compiled
+
+_HASH = np.uint64(0x9E3779B97F4A7C15)
+"""2^64 over the golden ratio: its multiples are spread evenly."""
+
+
+def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64]:
+    """Rows of the points (N, 3) whose three coordinates are numbers of at most this size, ascending."""
+    rows = np.empty(len(points), np.int64)
+    return rows[: _valid(points, largest, rows)]
+
+
+def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
+    """Rows of the first point in each cubic voxel of edge length ``size`` [m], ascending, for N > 0 points (N, 3).
+
+    None where there could be more voxels than 64 bits can number.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    shape = np.floor((high - low) / size) + 1.0
+    if not float(np.prod(shape)) < 2.0**62:
+        return None
+    rows = np.empty(len(points), np.int64)
+    table = np.full(1 << (2 * len(points)).bit_length(), -1, np.int64)
+    return rows[: _first(points, low, size, shape.astype(np.int64), table, rows)]
+
+
+@compiled
+def _valid(points, largest, rows):  # type: ignore[no-untyped-def]
+    n = 0
+    for p in range(len(points)):
+        # False for NaN.
+        if abs(points[p, 0]) <= largest and abs(points[p, 1]) <= largest and abs(points[p, 2]) <= largest:
+            rows[n] = p
+            n += 1
+    return n
+
+
+@compiled
+def _first(points, low, size, shape, table, rows):  # type: ignore[no-untyped-def]
+    """Fill ``rows`` and say how many there are; the table (a power of two, all -1) becomes a set of voxel numbers."""
+    mask, shift = np.uint64(len(table) - 1), np.uint64(32)
+    n = 0
+    for p in range(len(points)):
+        i = np.int64(np.floor((points[p, 0] - low[0]) / size))
+        j = np.int64(np.floor((points[p, 1] - low[1]) / size))
+        k = np.int64(np.floor((points[p, 2] - low[2]) / size))
+        key = (i * shape[1] + j) * shape[2] + k
+        place = ((np.uint64(key) * _HASH) >> shift) & mask
+        while table[place] != key and table[place] != -1:
+            place = (place + np.uint64(1)) & mask
+        if table[place] == -1:
+            table[place] = key
+            rows[n] = p
+            n += 1
+    return n

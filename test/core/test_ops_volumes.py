@@ -1,0 +1,106 @@
+"""Compiled passes over volumes and clouds, against what scipy and numpy say."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from regnet_core import clusters
+from regnet_core.clusters import cluster
+from regnet_core.ops.columns import smoothed_columns, surface_voxels
+from regnet_core.ops.local_planes import local_planes
+from regnet_core.ops.nearby import near_any
+from regnet_core.ops.rows import first_in_voxels, valid_rows
+from regnet_core.ops.voxel_grid import build_grid
+from regnet_core.pointcloud import voxel_downsample
+
+RNG = np.random.default_rng(7)
+
+
+def _heights() -> np.ndarray:
+    """Blocks of different heights on a wide empty margin, one of them as low as can be."""
+    top = np.zeros((40, 33))
+    top[8:15, 8:20], top[12:30, 15:25], top[33, 26] = 0.06, 0.11, 0.004
+    return top
+
+
+Z = (np.arange(-4, 30) + 0.5) * 0.005
+
+
+def test_columns_are_smoothed_as_by_scipy() -> None:
+    top = _heights()
+    occupied = (top[:, :, None] > Z) & (top[:, :, None] > 0.0)
+    expected = ndimage.gaussian_filter(occupied.astype(np.float32), 1.2, truncate=2.5)
+    np.testing.assert_allclose(smoothed_columns(top, Z, 1.2, 2.5), expected, atol=1e-6)
+    assert not smoothed_columns(np.zeros((9, 8)), Z, 1.2, 2.5).any()
+
+
+@pytest.mark.parametrize("first", [0, 4, 20])
+def test_surface_is_what_an_erosion_takes_away(first: int) -> None:
+    density = RNG.random((12, 9, 24)).astype(np.float32)
+    density[3:9, 2:7, 3:20] = 0.9
+    inside = density > 0.3
+    border = np.argwhere(inside & ~ndimage.binary_erosion(inside))
+    np.testing.assert_array_equal(surface_voxels(density, 0.3, first), border[border[:, 2] >= first])
+
+
+def test_surface_of_a_full_and_of_an_empty_volume() -> None:
+    assert len(surface_voxels(np.ones((5, 4, 6)), 0.5, 0)) == 5 * 4 * 6 - 3 * 2 * 4
+    assert surface_voxels(np.zeros((5, 4, 6)), 0.5, 0).shape == (0, 3)
+
+
+@pytest.mark.parametrize("radius", [0.004, 0.03])
+def test_whether_any_point_is_near(radius: float) -> None:
+    points, queries = RNG.uniform(0.0, 0.3, (500, 3)), RNG.uniform(-0.1, 0.4, (700, 3))
+    queries[:40] = points[:40]
+    nearest = cKDTree(points).query(queries)[0]
+    np.testing.assert_array_equal(near_any(points, queries, radius), nearest <= radius)
+    assert not near_any(points[:0], queries, radius).any() and near_any(points, queries[:0], radius).shape == (0,)
+
+
+def test_rows_that_are_numbers() -> None:
+    points = np.array([[0, 0, 0], [np.nan, 0, 0], [0, -np.inf, 0], [0, 0, 1001], [-1000, 1000, 5]], np.float32)
+    for given in (points, np.asfortranarray(points.astype(np.float64))):
+        assert valid_rows(given, 1000.0).tolist() == [0, 4]
+
+
+@pytest.mark.parametrize("size", [0.003, 0.05, 10.0])
+def test_first_point_of_each_voxel(size: float) -> None:
+    points = RNG.normal(0.0, 0.2, (3000, 3))
+    points = np.concatenate([points, points[::-1], np.zeros((5, 3))])
+    cells = np.floor((points - points.min(axis=0)) / size)
+    expected = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    np.testing.assert_array_equal(first_in_voxels(points, size), expected)
+    np.testing.assert_array_equal(voxel_downsample(points, size), expected)
+
+
+def test_more_voxels_than_can_be_numbered() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [900.0, 900.0, 900.0], [0.0, 0.0, 1e-8]])
+    assert first_in_voxels(points, 1e-7) is None
+    assert voxel_downsample(points, 1e-7).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("flat", [0.0, 1e-9, 1e-3])
+def test_normals_of_planes_lines_and_single_points(flat: float) -> None:
+    turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    sheet = RNG.uniform(-0.01, 0.01, (60, 3)) * [1.0, 1.0, flat] @ turn.T
+    local = local_planes(build_grid(sheet, 0.02), sheet, 0.1)
+    values, vectors = np.linalg.eigh(np.cov(sheet.T, bias=True))
+    np.testing.assert_allclose(np.abs(local.normal @ vectors[:, 0]), 1.0, atol=1e-9)
+    np.testing.assert_allclose(local.roughness, np.sqrt(max(values[0], 0.0)), atol=1e-9)
+    line = np.outer(np.linspace(0.0, 0.01, 9), turn[0])
+    along = local_planes(build_grid(line, 0.02), line, 0.1)
+    np.testing.assert_allclose(along.normal @ turn[0], 0.0, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(along.normal, axis=1), 1.0, atol=1e-12)
+    alone = local_planes(build_grid(line[:1], 0.02), line[:1], 0.1)
+    np.testing.assert_allclose(np.linalg.norm(alone.normal, axis=1), 1.0, atol=1e-12)
+
+
+def test_clusters_do_not_depend_on_how_cells_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = np.concatenate([RNG.normal(at, 0.05, (300, 3)) for at in (-3.0, 0.0, 0.4)])
+    dense = cluster(points)
+    monkeypatch.setattr(clusters, "_DENSE", 0)
+    sparse = cluster(points)
+    np.testing.assert_array_equal(dense.label, sparse.label)
+    np.testing.assert_array_equal(dense.size, sparse.size)
+    assert len(dense.size) >= 3
