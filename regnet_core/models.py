@@ -40,9 +40,10 @@ class LoadedModel(NamedTuple):
 
 
 def available_models() -> tuple[str, ...]:
-    """The names that ``GraspDetector(model=...)`` takes: networks, then baselines; learned ones that have weights."""
+    """The names that ``GraspDetector(model=...)`` takes: networks, the default first, then baselines; learned ones that
+    have weights."""
     there = network_names()
-    networks = [name for name in there if name not in LEARNED]
+    networks = sorted((name for name in there if name not in LEARNED), key=lambda name: name != DEFAULT_MODEL)
     return (*networks, *(name for name in LEARNED if name in there), *_BASELINES)
 
 
