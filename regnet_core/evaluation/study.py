@@ -158,12 +158,16 @@ def run_seeds(
     """
     check_range("seeds", seeds, 1, 1000)
     each, results = len(settings.scenes), list[ViewResult]()
-    for number, seed in enumerate(range(settings.seed, settings.seed + seeds)):
+    # All of them before the first runs, which may take an hour: a seed that is too large is refused here.
+    every = [
+        replace(settings, seed=seed, clouds=settings.clouds.seeded(seed))
+        for seed in range(settings.seed, settings.seed + seeds)
+    ]
+    for number, own in enumerate(every):
 
         def shown(done: int, total: int, before: int = number * each) -> None:
             progress(before + done, seeds * each)
 
-        own = replace(settings, seed=seed, clouds=settings.clouds.seeded(seed))
         results += run_study(archive, own, executor, shown)
     return results
 

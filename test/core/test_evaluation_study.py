@@ -106,6 +106,12 @@ def test_each_seed_has_clouds_and_choices_of_its_own(tiny: SceneArchive, here: A
     assert without_times(found[4:]) == without_times(alone) != without_times(found[:4])
     with pytest.raises(InvalidInputError, match="seeds must be"):
         run_seeds(tiny, settings, 0, here)
+    done.clear()
+    largest = 2**31 - 1
+    last = dataclasses.replace(settings, seed=largest, clouds=RecordedViews(6000, largest))
+    with pytest.raises(InvalidInputError, match="seed must be"):
+        run_seeds(tiny, last, 2, here, lambda *progress: done.append(progress))
+    assert done == []  # refused before anything ran
 
 
 def test_networks_are_told_apart_by_their_variant(untrained: Path) -> None:

@@ -187,3 +187,11 @@ def test_one_width_is_drawn_as_bars(tiny: SceneArchive, tmp_path: Path) -> None:
     picture = np.asarray(Image.open(path).convert("RGB")).reshape(-1, 3)
     first, second = (int((picture == colour).all(axis=1).sum()) for colour in ((0x1B, 0x6E, 0x9C), (0xC0, 0x39, 0x2B)))
     assert first > second > 0  # a's bars are longer than b's
+
+
+@pytest.mark.parametrize("cfr", [0.4, 0.0, math.nan])
+def test_bars_of_a_single_scene_have_no_errors(tiny: SceneArchive, tmp_path: Path, cfr: float) -> None:
+    rows = [result("a", 0, 0.08, cfr), result("b", 0, 0.08, cfr)]
+    path = tmp_path / "one.png"
+    draw_bars(study_document(tiny, StudySettings(("a", "b"), (0.08,), (0,)), rows, 1), path)
+    assert path.stat().st_size > 5_000
