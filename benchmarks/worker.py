@@ -91,7 +91,7 @@ def serve(kind: str, requests: IO[str], answers: IO[str]) -> None:
         return "result" in reply
 
     settings = json.loads(requests.readline())
-    _use_threads(settings.pop("threads"))
+    _start_as_a_node(settings.pop("threads"))
     made: list[Any] = []
 
     def begin() -> dict[str, Any]:
@@ -106,10 +106,12 @@ def serve(kind: str, requests: IO[str], answers: IO[str]) -> None:
         answer(lambda m=method, a=arguments: dict(m(**a)))  # type: ignore[misc]
 
 
-def _use_threads(count: int) -> None:
-    """As the detector node does it with its parameter ``threads``."""
+def _start_as_a_node(count: int) -> None:
+    """As the detector node does it with its parameter ``threads``, and with its memory."""
+    from regnet_ros.memory import keep_freed_memory
     from regnet_ros.threads import use_threads
 
+    keep_freed_memory()
     use_threads(count)
 
 

@@ -16,6 +16,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.utilities import remove_ros_args
 
 from regnet_core.errors import InvalidInputError
+from regnet_ros.memory import keep_freed_memory
 from regnet_ros.node import GraspNode
 
 _THREADS = 8
@@ -28,6 +29,7 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
     """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
     # rclpy's own handlers shut the context down and call these. Python's would raise KeyboardInterrupt wherever it
     # strikes; a signal that comes before rclpy is ready is remembered.
+    keep_freed_memory()
     unknown = _own_arguments(args)
     if unknown:
         return _explain_arguments(unknown)
