@@ -58,8 +58,9 @@ CLOUD_STAGES = (
     Stage(
         "validation",
         "preparation",
-        "shapes, types, and which points are finite and near enough",
+        "shapes, types, and which points are finite and near enough; the preprocessor's also transforms and crops",
         (
+            "regnet_core.pointcloud:place_points",
             "regnet_core.pointcloud:validate_points",
             "regnet_core.pointcloud:validate_colors",
             "regnet_core.pointcloud:as_points",

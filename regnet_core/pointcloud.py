@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
-from regnet_core.ops.rows import first_in_voxels, valid_rows
+from regnet_core.ops.rows import first_in_voxels, moved_rows, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
 from regnet_core.ops.voxel_grid import build_grid
 
@@ -44,12 +44,41 @@ def validate_points(points: npt.ArrayLike) -> ValidPoints:
     Raises:
         CloudError: the array is not numeric or not (N, 3).
     """
-    array = as_points(points)
-    if array.dtype not in (np.float32, np.float64):
-        array = array.astype(np.float64)
-    array = np.ascontiguousarray(array)
+    array = _as_floats(points)
     rows = valid_rows(array, MAX_COORDINATE)
     return ValidPoints(array[rows].astype(np.float64, copy=False), rows)
+
+
+class PlacedPoints(NamedTuple):
+    """The usable points of a cloud in another frame."""
+
+    points: Array
+    """(N, 3) finite coordinates in the target frame [m], float64."""
+    rows: Index
+    """(N,): the row of each in the user's array."""
+    valid: int
+    """How many points of the user's array are valid, wherever they lie."""
+
+
+def place_points(points: npt.ArrayLike, T_target_source: Array, box: Box | None = None) -> PlacedPoints:
+    """What ``validate_points``, ``transform_points`` and ``crop`` do one after another, in one pass.
+
+    Args:
+        points: the user's points (M, 3) in the source frame [m].
+        T_target_source: (4, 4), the pose of the source frame in the target frame.
+        box: of the points to keep, in the target frame; None keeps all.
+
+    Raises:
+        CloudError: the array is not numeric or not (M, 3).
+    """
+    lower = np.full(3, -np.inf) if box is None else np.asarray(box.lower, np.float64)
+    upper = np.full(3, np.inf) if box is None else np.asarray(box.upper, np.float64)
+    return PlacedPoints(*moved_rows(_as_floats(points), T_target_source, MAX_COORDINATE, lower, upper))
+
+
+def _as_floats(points: npt.ArrayLike) -> npt.NDArray[Any]:
+    array = as_points(points)
+    return np.ascontiguousarray(array if array.dtype in (np.float32, np.float64) else array.astype(np.float64))
 
 
 def as_points(points: npt.ArrayLike) -> npt.NDArray[Any]:

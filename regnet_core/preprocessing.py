@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from regnet_core.checks import as_transform, is_number, is_whole, shown
 from regnet_core.errors import CloudError, InvalidInputError
-from regnet_core.geometry import Array, Box, Plane, transform_points
-from regnet_core.pointcloud import Index, crop, fit_support_plane, random_sample, validate_points, voxel_downsample
+from regnet_core.geometry import Array, Box, Plane
+from regnet_core.pointcloud import Index, fit_support_plane, place_points, random_sample, voxel_downsample
 from regnet_core.report import StepRecorder, StepReport
 
 
@@ -83,26 +83,22 @@ def preprocess(
     config = config or PreprocessingConfig()
     matrix = as_transform("T_target_source", T_target_source)
     rng, recorder = np.random.default_rng(config.seed), StepRecorder()
-    with recorder.step("valid points") as step:
-        valid, index = validate_points(points)
-        step.kept, step.rejected = len(valid), len(np.asarray(points)) - len(valid)
+    with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
+        placed = place_points(points, matrix, config.workspace)
+        step.kept, step.rejected = placed.valid, len(np.asarray(points)) - placed.valid
     if colors is not None and np.shape(colors) != np.shape(points):
         raise CloudError(f"colors must have shape {np.shape(points)}, one row for each point, got {np.shape(colors)}")
-    with recorder.step("transform") as step:
-        moved = transform_points(matrix, valid)
-        step.kept = len(moved)
     with recorder.step("workspace") as step:
-        inside = np.arange(len(moved)) if config.workspace is None else crop(moved, config.workspace)
-        step.kept, step.rejected = len(inside), len(moved) - len(inside)
+        step.kept, step.rejected = len(placed.points), placed.valid - len(placed.points)
     with recorder.step("down-sampling") as step:
-        kept = inside[_thinned(moved[inside], config, rng)]
-        step.kept, step.rejected = len(kept), len(inside) - len(kept)
-    result, plane = moved[kept], None
+        kept = _thinned(placed.points, config, rng)
+        step.kept, step.rejected = len(kept), len(placed.points) - len(kept)
+    result, plane = placed.points[kept], None
     if config.support_plane:
         with recorder.step("support plane") as step:
             plane = fit_support_plane(result, rng)
             step.kept = int(plane is not None)
-    chosen = None if colors is None else np.asarray(colors)[index[kept]]
+    chosen = None if colors is None else np.asarray(colors)[placed.rows[kept]]
     return Preprocessed(result, chosen, plane, tuple(recorder.steps), _reason(recorder.steps, config))
 
 
@@ -112,7 +108,7 @@ def _thinned(points: Array, config: PreprocessingConfig, rng: np.random.Generato
 
 
 def _reason(steps: list[StepReport], config: PreprocessingConfig) -> str:
-    valid, workspace = steps[0], steps[2]
+    valid, workspace = steps[0], steps[1]
     if valid.kept + valid.rejected == 0:
         return "the cloud has no points: check that the camera sees something within its range"
     if valid.kept == 0:

@@ -1,4 +1,4 @@
-"""Which rows of a cloud stay: those that are numbers, and the first one in each voxel. One pass each."""
+"""Which rows of a cloud stay: valid ones, those in the workspace, and the first in each voxel. One pass each."""
 
 from __future__ import annotations
 
@@ -20,12 +20,33 @@ def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64
     return rows[: _valid(points, largest, rows)]
 
 
+def moved_rows(
+    points: npt.NDArray[Any], transform: Array, largest: float, lower: Array, upper: Array
+) -> tuple[Array, npt.NDArray[np.int64], int]:
+    """Valid points in another frame, where they lie in a box there.
+
+    Args:
+        points: (N, 3) in the source frame [m].
+        transform: (4, 4), the pose of the source frame in the target frame.
+        largest: as in ``valid_rows``.
+        lower: (3,) corner of the box in the target frame [m]; infinity has no limit.
+        upper: (3,), likewise.
+
+    Returns:
+        The points (K, 3) in the target frame [m], the rows (K,) that they were in, ascending, and how many of the N
+        were valid.
+    """
+    moved, rows = np.empty((len(points), 3)), np.empty(len(points), np.int64)
+    kept, valid = _moved(points, transform, largest, lower, upper, moved, rows)
+    return moved[:kept], rows[:kept], valid
+
+
 def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     """Rows of the first point in each cubic voxel of edge length ``size`` [m], ascending, for N > 0 points (N, 3).
 
     None where there could be more voxels than 64 bits can number.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = _bounds(points)
     shape = np.floor((high - low) / size) + 1.0
     if not float(np.prod(shape)) < 2.0**62:
         return None
@@ -43,6 +64,34 @@ def _valid(points, largest, rows):  # type: ignore[no-untyped-def]
             rows[n] = p
             n += 1
     return n
+
+
+@compiled
+def _moved(points, transform, largest, lower, upper, moved, rows):  # type: ignore[no-untyped-def]
+    n = valid = 0
+    for p in range(len(points)):
+        a, b, c = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
+        if not (abs(a) <= largest and abs(b) <= largest and abs(c) <= largest):
+            continue
+        valid += 1
+        x = transform[0, 0] * a + transform[0, 1] * b + transform[0, 2] * c + transform[0, 3]
+        y = transform[1, 0] * a + transform[1, 1] * b + transform[1, 2] * c + transform[1, 3]
+        z = transform[2, 0] * a + transform[2, 1] * b + transform[2, 2] * c + transform[2, 3]
+        if lower[0] <= x <= upper[0] and lower[1] <= y <= upper[1] and lower[2] <= z <= upper[2]:
+            moved[n, 0], moved[n, 1], moved[n, 2] = x, y, z
+            rows[n] = p
+            n += 1
+    return n, valid
+
+
+@compiled
+def _bounds(points):  # type: ignore[no-untyped-def]
+    low, high = points[0].copy(), points[0].copy()
+    for p in range(1, len(points)):
+        for a in range(3):
+            low[a] = min(low[a], points[p, a])
+            high[a] = max(high[a], points[p, a])
+    return low, high
 
 
 @compiled

@@ -5,12 +5,14 @@ import pytest
 import shapes
 
 from regnet_core import Box, CloudError
+from regnet_core.geometry import pose_matrix, transform_points
 from regnet_core.pointcloud import (
     crop,
     estimate_normals,
     fit_support_plane,
     neighbourhood_radius,
     orient_normals,
+    place_points,
     random_sample,
     validate_colors,
     validate_points,
@@ -128,3 +130,20 @@ def test_a_small_table_alone_is_found() -> None:
     plane = fit_support_plane(points, np.random.default_rng(0))
     assert plane is not None
     assert plane.offset == pytest.approx(0.75, abs=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int64])
+def test_placing_is_validating_moving_and_cropping(dtype: type) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-2.5, 2.5, (500, 3)).astype(dtype)
+    if dtype != np.int64:
+        points[3, 1], points[7, 2], points[11, 0] = np.nan, np.inf, 1500.0
+    transform, box = pose_matrix([0.1, -0.2, 0.3], [0.4, 0.5, -2.0]), Box((-1.0, -1.5, -0.5), (2.0, 1.0, 1.5))
+    valid, rows = validate_points(points)
+    moved = transform_points(transform, valid)
+    inside = crop(moved, box)
+    placed = place_points(points, transform, box)
+    assert 0 < len(inside) < placed.valid == len(valid)
+    assert placed.rows.tolist() == rows[inside].tolist()
+    np.testing.assert_allclose(placed.points, moved[inside], atol=1e-12)
+    assert place_points(points, transform).rows.tolist() == rows.tolist()
