@@ -44,8 +44,9 @@ class MessagePath:
         sent(visuals.plane_marker(header, prepared.plane, prepared.points))
         message = received(data, PointCloud2)
         conversions.cloud_from_message(message)
-        sent(conversions.grasp_array(header, detection.grasps, detection.gripper, detection.report))
-        poses = conversions.pose_array(header, detection.grasps)
+        array = conversions.grasp_array(header, detection.grasps, detection.gripper, detection.report)
+        sent(array)
+        poses = conversions.pose_array(array)
         sent(poses)
         sent(visuals.grasp_markers(header, detection.grasps, detection.gripper, _MAX_MARKERS))
         return poses

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Point, Pose, PoseArray, PoseStamped, Quaternion
+from geometry_msgs.msg import Pose, PoseArray, PoseStamped
 from regnet_msgs.msg import Grasp, GraspArray, SelectedGrasp
 from regnet_msgs.msg import Gripper as GripperMessage
 from regnet_msgs.msg import StepReport as StepMessage
@@ -95,28 +95,31 @@ def poses_to_messages(matrices: Array) -> list[Pose]:
     """Rigid transforms (M, 4, 4) as poses."""
     if len(matrices) == 0:
         return []
+    messages = [Pose() for _ in range(len(matrices))]
+    _fill_poses(messages, matrices)
+    return messages
+
+
+def _fill_poses(messages: list[Pose], matrices: Array) -> None:
+    """Write transforms (M, 4, 4) into M poses: messages made of parts would make each of the parts twice."""
     quaternions = quaternion_from_matrix(matrices[:, :3, :3]).tolist()
     positions = matrices[:, :3, 3].tolist()
-    return [
-        Pose(position=Point(x=p[0], y=p[1], z=p[2]), orientation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3]))
-        for p, q in zip(positions, quaternions, strict=True)
-    ]
+    for message, p, q in zip(messages, positions, quaternions, strict=True):
+        position, orientation = message.position, message.orientation
+        position.x, position.y, position.z = p
+        orientation.x, orientation.y, orientation.z, orientation.w = q
 
 
 def grasps_to_messages(grasps: Grasps) -> list[Grasp]:
     """One message for each grasp."""
-    numbers = zip(
-        poses_to_messages(grasps.poses),
-        grasps.width.tolist(),
-        grasps.quality.tolist(),
-        grasps.vertical_score.tolist(),
-        grasps.confidence.tolist(),
-        strict=True,
-    )
-    return [
-        Grasp(pose=pose, width=width, quality=quality, vertical_score=vertical, confidence=confidence)
-        for pose, width, quality, vertical, confidence in numbers
-    ]
+    if len(grasps) == 0:
+        return []
+    messages = [Grasp() for _ in range(len(grasps))]
+    _fill_poses([message.pose for message in messages], grasps.poses)
+    numbers = np.column_stack([grasps.width, grasps.quality, grasps.vertical_score, grasps.confidence]).tolist()
+    for message, row in zip(messages, numbers, strict=True):
+        message.width, message.quality, message.vertical_score, message.confidence = row
+    return messages
 
 
 def grasps_from_messages(messages: Iterable[Grasp]) -> Grasps:
@@ -178,9 +181,9 @@ def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: Detect
     )
 
 
-def pose_array(header: Header, grasps: Grasps) -> PoseArray:
-    """The grasp frames of a batch, best first."""
-    return PoseArray(header=header, poses=poses_to_messages(grasps.poses))
+def pose_array(array: GraspArray) -> PoseArray:
+    """The grasp frames of an array, best first."""
+    return PoseArray(header=array.header, poses=[grasp.pose for grasp in array.grasps])
 
 
 def selected_grasp(

@@ -20,7 +20,7 @@ from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.report import DetectionReport
 from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from_message, pose_array
-from regnet_ros.node import GraspNode
+from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import use_threads
@@ -111,9 +111,10 @@ class Detector(GraspNode[DetectorParameters]):
         return detection, seconds
 
     def _publish(self, header: Header, detection: Detection, max_markers: int) -> None:
-        self._grasps.publish(grasp_array(header, detection.grasps, detection.gripper, detection.report))
-        self._poses.publish(pose_array(header, detection.grasps))
-        self._markers.publish(grasp_markers(header, detection.grasps, detection.gripper, max_markers))
+        array = grasp_array(header, detection.grasps, detection.gripper, detection.report)
+        self._grasps.publish(array)
+        publish_if_heard(self._poses, lambda: pose_array(array))
+        publish_if_heard(self._markers, lambda: grasp_markers(header, detection.grasps, detection.gripper, max_markers))
 
     def _on_detect(self, request: DetectGrasps.Request, response: DetectGrasps.Response) -> DetectGrasps.Response:
         settings = self.settings

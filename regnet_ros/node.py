@@ -37,6 +37,12 @@ P = ParamSpec("P")
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
+def publish_if_heard(publisher: Any, make: Callable[[], Any]) -> None:
+    """Make a message and publish it, where somebody listens; not for topics that late subscribers get the last of."""
+    if publisher.get_subscription_count() > 0:
+        publisher.publish(make())
+
+
 class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     """A lifecycle node that works on the newest of its inputs and survives whatever comes in.
 

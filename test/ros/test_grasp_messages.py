@@ -58,7 +58,7 @@ def test_no_grasps() -> None:
     message = array(batch=Grasps.empty(), reason="nothing there")
     assert (len(message.grasps), message.reason) == (0, "nothing there")
     assert len(grasps_from_messages(message.grasps)) == 0
-    assert pose_array(HEADER, Grasps.empty()).poses == []
+    assert pose_array(message).poses == []
 
 
 def test_the_pose_message_has_the_axes_of_the_grasp_frame() -> None:
