@@ -24,6 +24,8 @@ from benchmarks.workers import Worker
 from regnet_core.checks import check_range
 
 _ANSWER_WITHIN = 60.0
+_LARGE_CLOUDS = Path(__file__).parents[2] / "config" / "fastdds_large_clouds.xml"
+"""README.md tells users to start their camera's driver with it."""
 BEFORE = ("preprocessor convert", "preprocessor prepare", "preprocessor publish", "detector convert")
 """What the nodes do before the detection begins; what follows it is not waited for by the first publication."""
 
@@ -83,7 +85,8 @@ def measure_latency(settings: LatencySettings, say: Callable[[str], None] = prin
         model = ready_model(choice, folder, settings.weights_seed)
         system = NodeSystem(stack, environment, model, settings.threads, settings.width, given.T_target_cloud)
         where = {"cloud": settings.cloud, "topic": f"{NAMESPACE}/points"}
-        publisher = stack.enter_context(Worker("publisher", 1, where, environment))
+        camera = {**environment, "FASTRTPS_DEFAULT_PROFILES_FILE": str(_LARGE_CLOUDS)}
+        publisher = stack.enter_context(Worker("publisher", 1, where, camera))
         system.wait_until(lambda: publisher.ask("subscribers")["count"] > 0, "the preprocessor to listen")
         for number in range(settings.warm_up):
             _one(publisher, system, number, settings.pause)
