@@ -108,7 +108,7 @@ def serve(kind: str, requests: IO[str], answers: IO[str]) -> None:
 
 def _start_as_a_node(count: int) -> None:
     """As the detector node does it with its parameter ``threads``, and with its memory."""
-    from regnet_ros.memory import keep_freed_memory
+    from regnet_core.memory import keep_freed_memory
     from regnet_ros.threads import use_threads
 
     keep_freed_memory()

@@ -16,7 +16,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.utilities import remove_ros_args
 
 from regnet_core.errors import InvalidInputError
-from regnet_ros.memory import keep_freed_memory
+from regnet_core.memory import keep_freed_memory
 from regnet_ros.node import GraspNode
 
 _THREADS = 8

@@ -115,13 +115,13 @@ def _train_network(
     config: str, where: dict[str, Any], recipe: dict[str, Any], device: str, resume: bool, quiet: bool
 ) -> None:
     with needs("train", "train"):
+        from regnet_core.memory import keep_freed_memory
         from regnet_core.nn.zoo import network_config
         from regnet_core.training.distributed import join_group, leave_group
-        from regnet_core.training.memory import keep_memory
         from regnet_core.training.recipe import Recipe
         from regnet_core.training.trainer import Run, Trainer
     if device == "cpu":
-        keep_memory()
+        keep_freed_memory()
     recipe["points"] = recipe["points"] or network_config(config).points
     group, device = join_group(device)
     trainer = Trainer(Run(config, device=device, group=group, **where), Recipe(**recipe))

@@ -9,7 +9,6 @@ import torch
 
 from regnet_core.errors import InvalidInputError
 from regnet_core.training.distributed import Group, join_group
-from regnet_core.training.memory import keep_memory
 
 AVERAGES = """
 import sys
@@ -54,7 +53,3 @@ def test_processes_average_gradients_and_statistics(tmp_path: Path) -> None:
             torch.testing.assert_close(averaged, (one + other) / 2)
     torch.testing.assert_close(first[1][1], (first[0][1] + second[0][1]) / 2)
     assert first[2] and second[2] and not first[3] and not second[3]
-
-
-def test_memory_can_be_kept_on_linux() -> None:
-    assert keep_memory() == sys.platform.startswith("linux")

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-from regnet_ros.memory import keep_freed_memory
+from regnet_core.memory import keep_freed_memory
 
 if sys.argv[1] == "keep":
     assert keep_freed_memory()
