@@ -67,20 +67,6 @@ CLOUD_STAGES = (
         ),
     ),
     Stage(
-        "transform",
-        "preparation",
-        "points into the gravity-aligned frame",
-        ("regnet_core.geometry:transform_points",),
-        needed=stage.maybe,
-    ),
-    Stage(
-        "crop",
-        "preparation",
-        "to the workspace, and to what lies near objects",
-        ("regnet_core.pointcloud:crop", "regnet_core.pointcloud:surroundings"),
-        needed=stage.maybe,
-    ),
-    Stage(
         "sampling",
         "preparation",
         "one point of each voxel, and random draws",
@@ -107,6 +93,13 @@ PREPROCESSOR_STAGES = (
 
 SCENE_STAGES = (
     *CLOUD_STAGES,
+    Stage(
+        "crop",
+        "preparation",
+        "to the workspace, and to what lies near objects",
+        ("regnet_core.pointcloud:crop", "regnet_core.pointcloud:surroundings"),
+        needed=stage.maybe,
+    ),
     Stage(
         "clusters",
         "preparation",

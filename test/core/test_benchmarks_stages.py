@@ -67,12 +67,12 @@ def test_a_stage_that_no_longer_runs_is_named() -> None:
 
 
 def test_a_replaced_function_is_replaced_wherever_it_was_imported_and_comes_back() -> None:
-    original = pointcloud.crop
-    assert scene.crop is preprocessing.crop is original
+    original = pointcloud.voxel_downsample
+    assert scene.voxel_downsample is preprocessing.voxel_downsample is original
     with ExitStack() as stack:
-        replace(stack, resolve("regnet_core.pointcloud:crop"), len)
-        assert scene.crop is preprocessing.crop is pointcloud.crop is len
-    assert scene.crop is preprocessing.crop is pointcloud.crop is original
+        replace(stack, resolve("regnet_core.pointcloud:voxel_downsample"), len)
+        assert scene.voxel_downsample is preprocessing.voxel_downsample is pointcloud.voxel_downsample is len
+    assert scene.voxel_downsample is preprocessing.voxel_downsample is pointcloud.voxel_downsample is original
 
 
 def test_the_times_of_nested_stages_add_up() -> None:
@@ -114,7 +114,7 @@ def test_an_observer_that_no_longer_fits_is_an_error() -> None:
     with StageTimer([one], observers=observed), pytest.raises(StageError, match="takes or gives something else"):
         pointcloud.as_points(np.zeros((10, 3)))
     with pytest.raises(StageError, match="must be the target of a stage"):
-        StageTimer([one], observers={"regnet_core.pointcloud:crop": lambda arguments, result: {}})
+        StageTimer([one], observers={"regnet_core.pointcloud:voxel_downsample": lambda arguments, result: {}})
 
 
 @pytest.mark.parametrize("name", NETWORKS)
