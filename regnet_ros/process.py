@@ -27,12 +27,12 @@ _PATIENCE = 3.0
 
 def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -> int:
     """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
-    # rclpy's own handlers shut the context down and call these. Python's would raise KeyboardInterrupt wherever it
-    # strikes; a signal that comes before rclpy is ready is remembered.
     keep_freed_memory()
     unknown = _own_arguments(args)
     if unknown:
         return _explain_arguments(unknown)
+    # rclpy's own handlers shut the context down and call these. Python's would raise KeyboardInterrupt wherever it
+    # strikes; a signal that comes before rclpy is ready is remembered.
     stops: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: stops.append(received))

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from regnet_core.geometry import Array
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.voxel_grid import bounds
 
 _HASH = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: its multiples are spread evenly."""
@@ -46,8 +47,8 @@ def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
 
     None where there could be more voxels than 64 bits can number.
     """
-    low, high = _bounds(points)
-    shape = np.floor((high - low) / size) + 1.0
+    low, extent = bounds(points)
+    shape = np.floor(extent / size) + 1.0
     if not float(np.prod(shape)) < 2.0**62:
         return None
     rows = np.empty(len(points), np.int64)
@@ -82,16 +83,6 @@ def _moved(points, transform, largest, lower, upper, moved, rows):  # type: igno
             rows[n] = p
             n += 1
     return n, valid
-
-
-@compiled
-def _bounds(points):  # type: ignore[no-untyped-def]
-    low, high = points[0].copy(), points[0].copy()
-    for p in range(1, len(points)):
-        for a in range(3):
-            low[a] = min(low[a], points[p, a])
-            high[a] = max(high[a], points[p, a])
-    return low, high
 
 
 @compiled

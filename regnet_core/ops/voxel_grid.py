@@ -37,7 +37,7 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
         points = np.zeros((0, 3))
         return VoxelGrid(points, np.zeros(0, np.int64), np.zeros(2, np.int64), np.zeros(3), np.ones(3, np.int64), cell)
     points = np.ascontiguousarray(points)
-    origin, extent = _bounds(points)
+    origin, extent = bounds(points)
     shape = np.floor(extent / cell).astype(np.int64) + 1
     while float(np.prod(shape.astype(float))) > _MAX_CELLS:
         cell *= 1.5
@@ -49,7 +49,7 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
 
 
 @compiled
-def _bounds(points):  # type: ignore[no-untyped-def]
+def bounds(points):  # type: ignore[no-untyped-def]
     """The lower corner (3,) of the points' bounding box, and its extent (3,)."""
     low, high = points[0].copy(), points[0].copy()
     for p in range(1, len(points)):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 CODE = """
+import ctypes
 import resource
 import sys
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from regnet_core.memory import keep_freed_memory
 
+ctypes.CDLL(None).prctl(41, 1, 0, 0, 0)  # no huge pages: PR_SET_THP_DISABLE
 if sys.argv[1] == "keep":
     assert keep_freed_memory()
 
