@@ -13,6 +13,7 @@ import torch
 from regnet_core.checks import check_range
 from regnet_core.errors import InvalidInputError
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
 from regnet_core.ops.voxel_grid import VoxelGrid, build_grid, cell_range
 
@@ -50,6 +51,10 @@ def ball_query(
             raise InvalidInputError(f"{name} must have the shape (n, 3), got {tuple(array.shape)}")
     if points.device.type == "cpu":
         return _queried_on_cpu(points.detach(), centres.detach(), radius, most, grid)
+    if has_kernels(points):
+        from regnet_core.ops.gpu.queries import ball_query_on_gpu
+
+        return ball_query_on_gpu(points.detach(), centres.detach(), radius, most)
     return ball_query_in_torch(points.detach(), centres.detach(), radius, most)
 
 

@@ -9,6 +9,7 @@ import torch
 
 from regnet_core.ops.ball_query import point_grid
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
 from regnet_core.ops.voxel_grid import VoxelGrid, cells_of_box
 
@@ -30,6 +31,15 @@ class Boxes(NamedTuple):
     upper: torch.Tensor
     """(G, 3): upper corners [m]."""
 
+    def middle(self) -> torch.Tensor:
+        """(G, 3) float64: where their middles are [m]."""
+        along = (self.lower.double() + self.upper.double()) / 2
+        return self.translation.double() + (self.rotation.double() * along[:, None, :]).sum(dim=2)
+
+    def half(self) -> torch.Tensor:
+        """(G, 3) float64: half the lengths of their edges [m]."""
+        return (self.upper.double() - self.lower.double()) / 2
+
     def take(self, some: slice) -> Boxes:
         """Some of them."""
         return Boxes(*(value[some] for value in self))
@@ -47,6 +57,10 @@ def box_query(points: torch.Tensor, boxes: Boxes, most: int, grid: VoxelGrid | N
     points, boxes = points.detach(), Boxes(*(value.detach() for value in boxes))
     if points.device.type == "cpu":
         return _queried_on_cpu(points, boxes, most, grid)
+    if has_kernels(points):
+        from regnet_core.ops.gpu.queries import box_query_on_gpu
+
+        return box_query_on_gpu(points, boxes.rotation, boxes.middle(), boxes.half(), most)
     return box_query_in_torch(points, boxes, most)
 
 

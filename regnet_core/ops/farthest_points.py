@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from regnet_core.errors import InvalidInputError
+from regnet_core.ops.gpu import has_kernels
 
 _TREE_HEIGHT = 6
 """Height of fpsample's tree of buckets, measured the fastest for 25600 points; the result does not depend on it."""
@@ -37,6 +38,10 @@ def farthest_points(points: torch.Tensor, count: int) -> torch.Tensor:
         return torch.zeros(0, dtype=torch.int64, device=points.device)
     if points.device.type == "cpu":
         return _sampled_on_cpu(points.detach(), count)
+    if has_kernels(points):
+        from regnet_core.ops.gpu.farthest_points import farthest_points_on_gpu
+
+        return farthest_points_on_gpu(points.detach(), count)
     return farthest_points_in_torch(points.detach(), count)
 
 

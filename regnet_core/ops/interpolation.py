@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from torch.nn import functional
 
 from regnet_core.errors import InvalidInputError
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.parallel import for_each_range
 from regnet_core.ops.voxel_grid import build_grid, cell_range
 
@@ -40,10 +42,20 @@ def three_nearest(points: torch.Tensor, queries: torch.Tensor) -> Interpolation:
     """
     if len(points) == 0 and len(queries) > 0:
         raise InvalidInputError("interpolation needs at least one point to take values from")
-    search = three_nearest_on_cpu if points.device.type == "cpu" else three_nearest_in_torch
-    indices, squared = search(points.detach(), queries.detach())
+    indices, squared = _search_on(points)(points.detach(), queries.detach())
     weights = 1.0 / squared.clamp(min=_CLOSEST)
     return Interpolation(indices, (weights / weights.sum(dim=1, keepdim=True)).float())
+
+
+def _search_on(points: torch.Tensor) -> Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]:
+    """What searches on the device of the points."""
+    if points.device.type == "cpu":
+        return three_nearest_on_cpu
+    if has_kernels(points):
+        from regnet_core.ops.gpu.nearest import three_nearest_on_gpu
+
+        return three_nearest_on_gpu
+    return three_nearest_in_torch
 
 
 def interpolate(features: torch.Tensor, how: Interpolation) -> torch.Tensor:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.local_planes import local_moments
 from regnet_core.ops.voxel_grid import build_grid
 
@@ -31,6 +32,10 @@ def local_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
     if points.device.type == "cpu":
         at = points.detach().numpy().astype(np.float64)
         covariance = torch.from_numpy(local_moments(build_grid(at, radius), at, radius).covariance)
+    elif has_kernels(points):
+        from regnet_core.ops.gpu.moments import covariance_on_gpu
+
+        covariance = covariance_on_gpu(points.detach(), radius)
     else:
         covariance = covariance_in_torch(points.detach(), radius)
     trace = covariance.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]

@@ -1,6 +1,6 @@
 """Maxima over segments of rows, of different lengths; with gradients.
 
-On a CPU compiled kernels do the work, for float32 and bfloat16; elsewhere, and for other types, torch does.
+Compiled kernels do the work: on a CPU for float32 and bfloat16, on a GPU for float16 too. For other types torch does.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy.typing as npt
 import torch
 
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods
 from regnet_core.ops.parallel import for_each_range
 
@@ -21,8 +22,8 @@ def neighbour_max(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Ten
 
     A centre without neighbours gets 0. Of equal values the first one gets the gradient.
     """
-    if has_kernel(values):
-        return cast(torch.Tensor, _SegmentMax.apply(values, neighbours.indices, neighbours.offsets))
+    if (largest := _kernel_for(values)) is not None:
+        return cast(torch.Tensor, largest.apply(values, neighbours.indices, neighbours.offsets))
     return segment_max_in_torch(values.index_select(0, neighbours.indices), neighbours.offsets)
 
 
@@ -31,15 +32,15 @@ def segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
 
     An empty segment gets 0. Of equal values the first one gets the gradient.
     """
-    if has_kernel(values):
-        return cast(torch.Tensor, _SegmentMax.apply(values, None, offsets))
+    if (largest := _kernel_for(values)) is not None:
+        return cast(torch.Tensor, largest.apply(values, None, offsets))
     return segment_max_in_torch(values, offsets)
 
 
 def rectified_segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
     """The largest value of each channel in each segment, or 0 where none is above it -> (S, C); without gradients."""
     if not has_kernel(values):
-        return torch.relu_(segment_max_in_torch(values, offsets))
+        return torch.relu_(segment_max(values, offsets))
     top = values.new_zeros((len(offsets) - 1, values.shape[1]))
     source, target, bounds = as_array(values), as_array(top), offsets.numpy()
     for_each_range(lambda start, stop: _raise(source, bounds, start, stop, target), len(top), least=64)
@@ -52,8 +53,19 @@ def segment_max_in_torch(values: torch.Tensor, offsets: torch.Tensor) -> torch.T
     return torch.where(offsets.diff()[:, None] > 0, top, torch.zeros((), dtype=values.dtype, device=values.device))
 
 
+def _kernel_for(values: torch.Tensor) -> type[torch.autograd.Function] | None:
+    """What computes maxima of such values, with gradients, on their device; None where only torch does."""
+    if has_kernel(values):
+        return _SegmentMax
+    if has_kernels(values) and values.dtype in (torch.float32, torch.bfloat16, torch.float16):
+        from regnet_core.ops.gpu.segments import SegmentMaxOnGpu
+
+        return SegmentMaxOnGpu
+    return None
+
+
 def has_kernel(values: torch.Tensor) -> bool:
-    """Whether compiled kernels work on such values."""
+    """Whether compiled kernels for CPUs work on such values."""
     return values.device.type == "cpu" and values.dtype in (torch.float32, torch.bfloat16)
 
 
