@@ -62,6 +62,15 @@ def train(
         int | None,
         typer.Option(help="Points of a view.", show_default="what the network is made for", rich_help_panel=_RECIPE),
     ] = None,
+    detail: Annotated[
+        float | None,
+        typer.Option(
+            help="Share of the network's centroids and of their neighbours: with less of them, and of the points, "
+            "steps are faster; a run of the whole network can --start from that.",
+            show_default="1",
+            rich_help_panel=_RECIPE,
+        ),
+    ] = None,
     learning_rate: Annotated[
         float | None, typer.Option(help="The highest.", show_default="0.002; a baseline's own", rich_help_panel=_RECIPE)
     ] = None,
@@ -99,6 +108,8 @@ def train(
     if config in LEARNED:
         if start is not None:
             raise InvalidInputError(f"--start is for networks; '{config}' starts from random weights")
+        if detail is not None:
+            raise InvalidInputError(f"--detail is for networks; '{config}' has sizes of its own")
         if gripper_width:
             raise InvalidInputError(f"--gripper-width is for networks; '{config}' has a width of its own")
         _train_baseline(
@@ -108,6 +119,8 @@ def train(
         if examples is not None:
             raise InvalidInputError(f"--examples is for baselines that classify hands; '{config}' is none")
         own: dict[str, Any] = {"points": points, "widths": tuple(gripper_width or ())}
+        if detail is not None:
+            own["detail"] = detail
         _train_network(config, where | {"start": start}, recipe | own, device, resume, quiet)
 
 

@@ -187,6 +187,23 @@ class NetworkConfig:
         """M."""
         return len(self.coder.anchors)
 
+    def coarser(self, detail: float) -> NetworkConfig:
+        """The same layers on fewer centroids with fewer neighbours, by this share of them: faster, and less exact.
+
+        Raises:
+            InvalidInputError: the share is not above 0 and at most 1.
+        """
+        check_range("detail", detail, 1e-3, 1.0)
+
+        def part(count: int) -> int:
+            return max(round(detail * count), 1)
+
+        abstractions = (
+            dataclasses.replace(a, centroids=part(a.centroids), neighbours=part(a.neighbours))
+            for a in self.abstractions
+        )
+        return self.replace(abstractions=tuple(abstractions))
+
     def replace(self, **changes: Any) -> NetworkConfig:
         """The same with some fields changed."""
         return dataclasses.replace(self, **changes)

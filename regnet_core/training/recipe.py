@@ -50,6 +50,10 @@ class Recipe:
     """Views in a batch."""
     points: int = 25600
     """Points drawn from a view."""
+    detail: float = 1.0
+    """Share of the network's centroids, and of their neighbours, that it has in training. The layers do not depend on
+    it, and most steps can be learnt coarsely: in a run with less of both, and of the points, that another starts from.
+    """
     regions: int = 128
     """Positive points of each view that the second and third stage learn at."""
     candidates: int = 2
@@ -77,6 +81,7 @@ class Recipe:
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "points", "regions", "candidates"):
             check_range(name, getattr(self, name), 1)
+        check_range("detail", self.detail, 1e-3, 1.0)
         check_range("between", self.between, 0.0, 1.0)
         check_range("learning_rate", self.learning_rate, 1e-8, 1.0)
         check_range("weight_decay", self.weight_decay, 0.0, 1.0)

@@ -86,7 +86,8 @@ class Trainer:
         self._part = self.run.group.part_of(self.recipe.batch)
         torch.manual_seed(self.recipe.seed)
         self.device = torch.device(self.run.device)
-        self.network = RegNet(network_config(self.run.network)).to(self.device)
+        config = network_config(self.run.network)
+        self.network = RegNet(config.coarser(self.recipe.detail)).to(self.device)
         if self.run.start is not None:
             self._start_from(self.run.start)
         self.dataset = GraspDataset(

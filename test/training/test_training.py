@@ -181,3 +181,20 @@ def test_a_run_starts_from_the_weights_of_another(data: Path, tmp_path: Path) ->
         _trainer(data, tmp_path / "second").resume()
     with pytest.raises(ModelError, match="is of 'regnetv2-s', and cannot start 'regnetv2-s-no-width'"):
         Trainer(Run("regnetv2-s-no-width", data, tmp_path, start=weights), RECIPE)
+
+
+def test_a_whole_network_goes_on_from_what_a_coarser_one_has_learnt(data: Path, tmp_path: Path) -> None:
+    whole = _trainer(data, tmp_path / "whole")
+    coarse = _trainer(data, tmp_path / "coarse", dataclasses.replace(RECIPE, steps=1, detail=0.25))
+    sizes = [(a.centroids, a.neighbours) for a in coarse.network.config.abstractions]
+    assert sizes == [(512, 8), (128, 8), (32, 8)]  # a fourth of regnetv2-s's, nn/zoo.py
+    coarse.train()
+    learnt, card = load_network(tmp_path / "coarse" / "weights.safetensors")
+    assert learnt.config == whole.network.config
+    assert card["recipe"]["detail"] == 0.25
+    second = _trainer(data, tmp_path / "second", start=tmp_path / "coarse" / "weights.safetensors")
+    assert second.network.config == whole.network.config
+    for name, value in coarse.network.state_dict().items():
+        torch.testing.assert_close(second.network.state_dict()[name], value, atol=1e-3, rtol=1e-3, msg=name)
+    with pytest.raises(InvalidInputError, match="detail must be"):
+        dataclasses.replace(RECIPE, detail=1.5)
