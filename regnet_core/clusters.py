@@ -11,6 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from regnet_core.geometry import Array, Mask
+from regnet_core.ops.cells import cells_below
+from regnet_core.ops.outline import corner_candidates, outside
 
 Index = npt.NDArray[np.int64]
 
@@ -48,7 +50,7 @@ def cluster(points: Array, cell: float = 0.02) -> Clusters:
     """Group points (N, 3) whose horizontal cells of edge length ``cell`` [m] touch, at a side or a corner."""
     if len(points) == 0:
         return Clusters(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    index = np.floor(points[:, :2] / cell).astype(np.int64)
+    index = cells_below(points, cell)
     keys, inverse = _distinct(index[:, 0], index[:, 1])
     rows, columns = [], []
     for step in (np.int64(1), _STRIDE - 1, _STRIDE, _STRIDE + 1):
@@ -99,7 +101,7 @@ def structure(
     wide = tall[(groups.extent(points[tall]) > max_width)[groups.label]]
     if len(wide) == 0:
         return result
-    index = np.floor(points[:, :2] / cell).astype(np.int64)
+    index = cells_below(points, cell)
     keys = index[:, 0] * _STRIDE + index[:, 1]
     inside = np.flatnonzero(np.isin(keys, np.unique(keys[wide])))
     downwards = inside[np.lexsort((-height[inside], keys[inside]))]
@@ -125,14 +127,14 @@ def beyond(points: Array, ground: Array, margin: float = 0.1, max_width: float =
     patches = cluster(ground, cell=0.05)
     if len(points) == 0 or len(ground) < 4:
         return result
-    main = ground[(patches.size >= 0.1 * patches.size.max())[patches.label], :2]
+    main = ground[(patches.size >= 0.1 * patches.size.max())[patches.label]]
     try:
-        outline = ConvexHull(main).equations  # normal . xy + offset <= 0 inside
+        outline = ConvexHull(main[corner_candidates(main), :2]).equations
     except QhullError:  # all in one line
         return result
-    outside = np.flatnonzero((points[:, :2] @ outline[:, :2].T + outline[:, 2]).max(axis=1) > margin)
-    if len(outside) == 0:
+    beside = np.flatnonzero(outside(points, outline, margin))
+    if len(beside) == 0:
         return result
-    groups = cluster(points[outside], cell=0.04)
-    result[outside[(groups.extent(points[outside]) > max_width)[groups.label]]] = True
+    groups = cluster(points[beside], cell=0.04)
+    result[beside[(groups.extent(points[beside]) > max_width)[groups.label]]] = True
     return result

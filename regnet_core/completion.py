@@ -13,9 +13,10 @@ import numpy as np
 from scipy import ndimage
 
 from regnet_core.geometry import Array, Plane
-from regnet_core.ops.columns import smoothed_columns, surface_voxels
+from regnet_core.ops.cells import highest
+from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
 from regnet_core.ops.nearby import near_any
-from regnet_core.pointcloud import Index
+from regnet_core.ops.voxel_grid import bounds
 
 _MAX_VOXELS = 6_000_000
 _REACH = 2.5
@@ -35,12 +36,7 @@ class SolidModel(NamedTuple):
     def outward(self, points: Array, height: Array) -> Array:
         """Directions (N, 3), not normalised, that lead out of the solid at points (N, 3) of that height (N,) [m]."""
         where = (np.column_stack([points[:, :2], height]) - self.origin) / self.cell
-        gradient = [
-            ndimage.map_coordinates(self.density, (where + step).T, order=1, mode="nearest")
-            - ndimage.map_coordinates(self.density, (where - step).T, order=1, mode="nearest")
-            for step in 1.5 * np.eye(3)
-        ]
-        return -np.stack(gradient, axis=1)
+        return -slope_at(self.density, where, 1.5)
 
 
 class HiddenSurface(NamedTuple):
@@ -67,18 +63,17 @@ def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: fl
         return None
     pad = 4
     height = plane.height(points)
-    spread = [*np.ptp(points[:, :2], axis=0), height.max()]
+    lower, upper = bounds(np.ascontiguousarray(points))
+    spread = [*(upper - lower)[:2], height.max()]
     largest = 2.01 * cell
     while np.prod([side / cell + 2 * pad + 2 for side in spread]) > _MAX_VOXELS:
         cell *= 1.25
         if cell > largest:
             return None
-    low = points[:, :2].min(axis=0) - pad * cell
-    index = np.round((points[:, :2] - low) / cell).astype(np.int64)
-    shape = index.max(axis=0) + 1 + pad
+    low = lower[:2] - pad * cell
+    nx, ny = np.round((upper[:2] - low) / cell).astype(np.int64) + 1 + pad
     levels = int(np.ceil(height.max() / cell)) + 1 + pad
-    top = np.zeros(shape)
-    np.maximum.at(top, (index[:, 0], index[:, 1]), height)
+    top = highest(points, height, low, cell, (int(nx), int(ny)))
     top = np.where(top > 0, top, ndimage.grey_closing(top, size=(5, 5)))
     z = (np.arange(-pad, levels) + 0.5) * cell
     return SolidModel(smoothed_columns(top, z, smoothing, _REACH), np.array([low[0], low[1], z[0]]), cell)
@@ -92,25 +87,9 @@ def hidden_surface(
     index = surface_voxels(model.density, 0.5, int(np.count_nonzero(levels <= min_height)))
     if len(index) == 0:
         return HiddenSurface(np.zeros((0, 3)), np.zeros((0, 3)))
-    grid = model.origin + index * model.cell
-    gradient = np.stack([_central_difference(model.density, index, axis) for axis in range(3)], axis=1)
-    slope = np.linalg.norm(gradient, axis=1)
-    usable = slope > 0.05
-    index, grid, slope = index[usable], grid[usable], slope[usable, None]
-    normals = -gradient[usable] / slope
-    # To first order the surface lies where the density has fallen to 0.5.
-    excess = model.density[tuple(index.T)][:, None] - 0.5
-    surface = grid + normals * model.cell * np.clip(excess / slope, 0.0, 1.0)
+    found = walls(model.density, index, 0.5, 0.05)
+    points = model.origin + found.points * model.cell
     nx, ny, nz = plane.normal
-    z = (plane.offset + surface[:, 2] - nx * surface[:, 0] - ny * surface[:, 1]) / nz
-    points = np.column_stack([surface[:, :2], z])
+    points[:, 2] = (plane.offset + points[:, 2] - nx * points[:, 0] - ny * points[:, 1]) / nz
     far = ~near_any(observed, points, clearance)
-    return HiddenSurface(points[far], normals[far])
-
-
-def _central_difference(volume: Array, index: Index, axis: int) -> Array:
-    """Half the difference of the two neighbours along an axis, at voxels (V, 3) that are not on the border."""
-    step = np.zeros(3, np.int64)
-    step[axis] = 1
-    index = np.clip(index, 1, np.array(volume.shape) - 2)
-    return 0.5 * (volume[tuple((index + step).T)] - volume[tuple((index - step).T)]).astype(np.float64)
+    return HiddenSurface(points[far], found.normals[far])

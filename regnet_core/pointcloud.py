@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
-from regnet_core.ops.rows import first_in_voxels, moved_rows, valid_rows
+from regnet_core.ops.nearby import kth_distance
+from regnet_core.ops.rows import first_in_voxels, moved_rows, rows_in_box, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
-from regnet_core.ops.voxel_grid import build_grid
+from regnet_core.ops.voxel_grid import bounds, build_grid
 
 Index = npt.NDArray[np.int64]
 
@@ -174,8 +174,8 @@ def surroundings(points: npt.NDArray[np.floating], objects: npt.NDArray[np.float
     """Rows of the points (N, 3) in and near the bounding box of the objects' (K, 3) [m]; without objects all rows."""
     if len(objects) == 0:
         return np.arange(len(points))
-    lower, upper = objects.min(axis=0) - AROUND, objects.max(axis=0) + AROUND
-    return np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
+    lower, upper = bounds(np.ascontiguousarray(objects))
+    return rows_in_box(points, lower - AROUND, upper + AROUND)
 
 
 def random_sample(count: int, size: int, rng: np.random.Generator) -> Index:
@@ -192,7 +192,7 @@ def neighbourhood_radius(
     if len(points) <= neighbours:
         return high
     probes = points[random_sample(len(points), 400, rng)]
-    distance = cKDTree(points).query(probes, k=[neighbours])[0]
+    distance = kth_distance(points, probes, neighbours, max(low, 0.2 * high), 2.0 * high)
     return float(np.clip(np.median(distance), low, high))
 
 

@@ -15,6 +15,8 @@ from scipy import ndimage
 
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
+from regnet_core.ops.cells import mark_nearest
+from regnet_core.ops.voxel_grid import bounds
 
 _MAX_CELLS = 4_000_000
 _FINGER_SAMPLES = (4, 2, 2)
@@ -66,15 +68,17 @@ def unseen_ground(plane_points: Array, object_points: Array, cell: float = 0.006
 
     Gaps of up to two cells between points are closed. None when the map would be too large.
     """
-    points = np.concatenate([plane_points, object_points])[:, :2]
-    if len(points) == 0:
+    parts = [np.ascontiguousarray(points) for points in (plane_points, object_points) if len(points) > 0]
+    if not parts:
         return None
     pad = 4
-    low = points.min(axis=0) - pad * cell
-    shape = np.round((points.max(axis=0) - low) / cell).astype(np.int64) + 1 + pad
+    corners = [bounds(points) for points in parts]
+    low = np.min([lower[:2] for lower, _ in corners], axis=0) - pad * cell
+    high = np.max([upper[:2] for _, upper in corners], axis=0)
+    shape = np.round((high - low) / cell).astype(np.int64) + 1 + pad
     if float(shape[0]) * float(shape[1]) > _MAX_CELLS:
         return None
     seen = np.zeros(shape, bool)
-    index = np.round((points - low) / cell).astype(np.int64)
-    seen[index[:, 0], index[:, 1]] = True
+    for points in parts:
+        mark_nearest(points, low, cell, seen)
     return UnseenGround(~ndimage.binary_closing(seen, np.ones((3, 3)), iterations=1), low, cell)

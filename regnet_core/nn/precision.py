@@ -23,8 +23,8 @@ def has_fast_bf16() -> bool:
 def fast_bf16(processor: str) -> bool:
     """The same of a processor of which Linux says this in /proc/cpuinfo.
 
-    AMX (Intel, from Sapphire Rapids) is up to 10 times as fast as fp32, the AVX-512 units of AMD (from Zen 4) are twice.
-    Those of Intel are not made for it: without AMX, which virtual machines may hide, products of 2048 x 2048 matrices
+    AMX (Intel, from Sapphire Rapids) is up to 10 times as fast as fp32, AVX-512 of AMD (from Zen 4) is twice as fast.
+    Intel's AVX-512 is not made for it: without AMX, which virtual machines may hide, products of 2048 x 2048 matrices
     in bf16 took 1.7 times as long as those in fp32 (Xeon of 2023, one core: 82 and 141 GFLOP/s).
     """
     words = processor.split()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
@@ -9,6 +11,15 @@ from scipy import ndimage
 from regnet_core.geometry import Array
 from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.parallel import for_each_range
+
+
+class Walls(NamedTuple):
+    """Points on a surface."""
+
+    points: Array
+    """(W, 3) [voxels]."""
+    normals: Array
+    """(W, 3), of length 1, to where the density is lower."""
 
 
 def smoothed_columns(
@@ -53,6 +64,84 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
     found = np.empty((start[-1], 3), np.int64)
     for_each_range(lambda a, b: _list_surface(density, level, first, start, a, b, found), len(density), least=4)
     return found
+
+
+def slope_at(density: npt.NDArray[np.float32], where: Array, step: float) -> npt.NDArray[np.float32]:
+    """(N, 3): what the density rises by along each axis, from ``step`` before to ``step`` behind.
+
+    Args:
+        density: (nx, ny, nz); outside, it is what it is at the side.
+        where: (N, 3) [voxels], interpolated between linearly.
+        step: how far [voxels].
+    """
+    slope = np.empty((len(where), 3), np.float32)
+    at = np.ascontiguousarray(where, np.float64)
+    for_each_range(lambda start, stop: _slope(density, at, step, start, stop, slope), len(at), least=1024)
+    return slope
+
+
+def walls(density: npt.NDArray[np.float32], index: npt.NDArray[np.int64], level: float, least: float) -> Walls:
+    """Where the surface that the density crosses the level at is, near voxels (V, 3), and which way it faces.
+
+    Args:
+        density: (nx, ny, nz).
+        index: (V, 3), of voxels.
+        level: of the surface.
+        least: voxels at which the density falls by less than this from one to the next are left out.
+    """
+    points, normals = np.empty((len(index), 3)), np.empty((len(index), 3))
+    kept = _walls(density, index, level, least, points, normals)
+    return Walls(points[:kept], normals[:kept])
+
+
+@compiled
+def _value_at(density, x, y, z):  # type: ignore[no-untyped-def]
+    """Linear between the centres of the voxels."""
+    nx, ny, nz = density.shape
+    x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
+    i, j, k = int(x), int(y), int(z)
+    u, v, w = x - i, y - j, z - k
+    i1, j1, k1 = min(i + 1, nx - 1), min(j + 1, ny - 1), min(k + 1, nz - 1)
+    near = (density[i, j, k] * (1 - w) + density[i, j, k1] * w) * (1 - v) + (
+        density[i, j1, k] * (1 - w) + density[i, j1, k1] * w
+    ) * v
+    far = (density[i1, j, k] * (1 - w) + density[i1, j, k1] * w) * (1 - v) + (
+        density[i1, j1, k] * (1 - w) + density[i1, j1, k1] * w
+    ) * v
+    return near * (1 - u) + far * u
+
+
+@compiled
+def _slope(density, where, step, begin, end, slope):  # type: ignore[no-untyped-def]
+    for p in range(begin, end):
+        x, y, z = where[p, 0], where[p, 1], where[p, 2]
+        slope[p, 0] = _value_at(density, x + step, y, z) - _value_at(density, x - step, y, z)
+        slope[p, 1] = _value_at(density, x, y + step, z) - _value_at(density, x, y - step, z)
+        slope[p, 2] = _value_at(density, x, y, z + step) - _value_at(density, x, y, z - step)
+
+
+@compiled
+def _walls(density, index, level, least, points, normals):  # type: ignore[no-untyped-def]
+    nx, ny, nz = density.shape
+    n = 0
+    for v in range(len(index)):
+        x, y, z = index[v, 0], index[v, 1], index[v, 2]
+        # Half the difference of the two neighbours; on the border, of those next to it.
+        i, j, k = min(max(x, 1), nx - 2), min(max(y, 1), ny - 2), min(max(z, 1), nz - 2)
+        gx = 0.5 * np.float64(density[i + 1, j, k] - density[i - 1, j, k])
+        gy = 0.5 * np.float64(density[i, j + 1, k] - density[i, j - 1, k])
+        gz = 0.5 * np.float64(density[i, j, k + 1] - density[i, j, k - 1])
+        slope = np.sqrt(gx * gx + gy * gy + gz * gz)
+        if not slope > least:
+            continue
+        normals[n, 0], normals[n, 1], normals[n, 2] = -gx / slope, -gy / slope, -gz / slope
+        # To first order the surface lies where the density has fallen to the level.
+        out = min(max((np.float64(density[x, y, z]) - level) / slope, 0.0), 1.0)
+        points[n, 0], points[n, 1], points[n, 2] = x, y, z
+        for a in range(3):
+            points[n, a] += normals[n, a] * out
+        n += 1
+    return n
 
 
 @compiled

@@ -42,13 +42,25 @@ def moved_rows(
     return moved[:kept], rows[:kept], valid
 
 
+def rows_in_box(points: npt.NDArray[Any], lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    """Rows of the points (N, 3) in a box, its surface included, ascending.
+
+    Args:
+        points: (N, 3).
+        lower: (3,) corner of the box, of the points' type.
+        upper: (3,), likewise.
+    """
+    rows = np.empty(len(points), np.int64)
+    return rows[: _inside(points, lower, upper, rows)]
+
+
 def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     """Rows of the first point in each cubic voxel of edge length ``size`` [m], ascending, for N > 0 points (N, 3).
 
     None where there could be more voxels than 64 bits can number.
     """
-    low, extent = bounds(points)
-    shape = np.floor(extent / size) + 1.0
+    low, high = bounds(points)
+    shape = np.floor((high - low) / size) + 1.0
     if not float(np.prod(shape)) < 2.0**62:
         return None
     rows = np.empty(len(points), np.int64)
@@ -64,6 +76,20 @@ def _valid(points, largest, rows):  # type: ignore[no-untyped-def]
         if abs(points[p, 0]) <= largest and abs(points[p, 1]) <= largest and abs(points[p, 2]) <= largest:
             rows[n] = p
             n += 1
+    return n
+
+
+@compiled
+def _inside(points, lower, upper, rows):  # type: ignore[no-untyped-def]
+    n = 0
+    for p in range(len(points)):
+        # Without a branch: written over by the next one where it is outside.
+        rows[n] = p
+        n += (
+            (lower[0] <= points[p, 0] <= upper[0])
+            & (lower[1] <= points[p, 1] <= upper[1])
+            & (lower[2] <= points[p, 2] <= upper[2])
+        )
     return n
 
 

@@ -37,7 +37,8 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
         points = np.zeros((0, 3))
         return VoxelGrid(points, np.zeros(0, np.int64), np.zeros(2, np.int64), np.zeros(3), np.ones(3, np.int64), cell)
     points = np.ascontiguousarray(points)
-    origin, extent = bounds(points)
+    origin, upper = bounds(points)
+    extent = upper - origin
     shape = np.floor(extent / cell).astype(np.int64) + 1
     while float(np.prod(shape.astype(float))) > _MAX_CELLS:
         cell *= 1.5
@@ -50,13 +51,13 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
 
 @compiled
 def bounds(points):  # type: ignore[no-untyped-def]
-    """The lower corner (3,) of the points' bounding box, and its extent (3,)."""
+    """The lower and the upper corner (3,) of the points' (N, 3) bounding box, N > 0; in the points' own type."""
     low, high = points[0].copy(), points[0].copy()
     for p in range(1, len(points)):
         for a in range(3):
             low[a] = min(low[a], points[p, a])
             high[a] = max(high[a], points[p, a])
-    return low, high - low
+    return low, high
 
 
 @compiled

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from regnet_core import clusters
 from regnet_core.clusters import cluster
-from regnet_core.ops.columns import smoothed_columns, surface_voxels
+from regnet_core.ops.cells import cells_below, highest, mark_nearest
+from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
 from regnet_core.ops.local_planes import local_planes
-from regnet_core.ops.nearby import near_any
-from regnet_core.ops.rows import first_in_voxels, valid_rows
+from regnet_core.ops.nearby import kth_distance, near_any
+from regnet_core.ops.outline import corner_candidates, outside
+from regnet_core.ops.rows import first_in_voxels, rows_in_box, valid_rows
 from regnet_core.ops.voxel_grid import build_grid
 from regnet_core.pointcloud import voxel_downsample
 
@@ -104,3 +106,71 @@ def test_clusters_do_not_depend_on_how_cells_are_counted(monkeypatch: pytest.Mon
     np.testing.assert_array_equal(dense.label, sparse.label)
     np.testing.assert_array_equal(dense.size, sparse.size)
     assert len(dense.size) >= 3
+
+
+def test_slopes_are_those_of_a_linear_interpolation() -> None:
+    density = RNG.random((7, 6, 8)).astype(np.float32)
+    where = RNG.uniform(-2.0, 9.0, (400, 3))  # some outside
+    for axis, step in enumerate(1.5 * np.eye(3)):
+        ahead, behind = (
+            ndimage.map_coordinates(density.astype(float), (where + side * step).T, order=1, mode="nearest")
+            for side in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(slope_at(density, where, 1.5)[:, axis], ahead - behind, atol=1e-6)
+
+
+def test_walls_of_a_ramp_by_hand() -> None:
+    # Falls along x by 0.2 from one voxel to the next: 1, 0.8, 0.6, 0.4, ...
+    density = np.broadcast_to((1.0 - 0.2 * np.arange(6))[:, None, None], (6, 4, 4)).astype(np.float32).copy()
+    found = walls(density, np.array([[2, 1, 1], [2, 2, 2], [5, 1, 3]]), 0.5, 0.05)
+    np.testing.assert_allclose(found.normals, [[1.0, 0.0, 0.0]] * 3, atol=1e-6)
+    # 0.1 above the level is half a voxel; what is below it stays where it is.
+    np.testing.assert_allclose(found.points, [[2.5, 1.0, 1.0], [2.5, 2.0, 2.0], [5.0, 1.0, 3.0]], atol=1e-5)
+    assert len(walls(density, np.array([[2, 1, 1]]), 0.5, 0.3).points) == 0
+
+
+def test_cells_of_points() -> None:
+    points = RNG.normal(size=(500, 3))
+    np.testing.assert_array_equal(cells_below(points, 0.3), np.floor(points[:, :2] / 0.3))
+    low = points[:, :2].min(axis=0) - 0.5
+    index = np.round((points[:, :2] - low) / 0.3).astype(int)
+    marked, top = np.zeros((40, 40), bool), np.zeros((40, 40))
+    mark_nearest(points, low, 0.3, marked)
+    np.maximum.at(top, (index[:, 0], index[:, 1]), points[:, 2])
+    assert marked.sum() == len(np.unique(index, axis=0)) and marked[index[:, 0], index[:, 1]].all()
+    np.testing.assert_array_equal(highest(points, points[:, 2], low, 0.3, (40, 40)), top)
+
+
+@pytest.mark.parametrize("usual", [0.01, 0.3, 5.0])
+def test_distance_of_the_kth_nearest(usual: float) -> None:
+    points = RNG.random((800, 3))
+    queries = np.concatenate([points[:50], RNG.uniform(-0.5, 1.5, (50, 3))])
+    expected = cKDTree(points).query(queries, k=[6])[0][:, 0]
+    np.testing.assert_allclose(
+        kth_distance(points, queries, 6, usual, 0.25), np.where(expected <= 0.25, expected, np.inf), rtol=1e-12
+    )
+    assert np.isinf(kth_distance(points[:5], queries, 6, usual, 9.0)).all()
+
+
+def test_corners_of_a_hull_are_among_the_candidates() -> None:
+    for points in (RNG.normal(size=(3000, 3)), RNG.random((3000, 2)), np.stack([np.arange(9.0)] * 2, axis=1)):
+        rows = corner_candidates(points)
+        if points.shape[1] == 2 and len(points) == 9:  # all in one line
+            assert rows.tolist() == list(range(9))
+            continue
+        hull = ConvexHull(points[:, :2])
+        assert set(hull.vertices) <= set(rows.tolist()) and len(rows) < 1500
+        again = ConvexHull(points[rows][:, :2])
+        assert again.volume == pytest.approx(hull.volume, rel=1e-12)
+        probes = 3.0 * RNG.normal(size=(200, 2))
+        expected = (probes @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1) > 0.2
+        np.testing.assert_array_equal(outside(probes, again.equations, 0.2), expected)
+
+
+def test_rows_in_a_box() -> None:
+    points = RNG.normal(size=(400, 3)).astype(np.float32)
+    points[3] = np.nan
+    lower, upper = points[0] - np.float32(0.0), points[0] + np.float32(1.5)  # the first point is a corner
+    expected = np.flatnonzero(((points >= lower) & (points <= upper)).all(axis=1))
+    assert expected[0] == 0 and len(expected) > 3
+    np.testing.assert_array_equal(rows_in_box(points, lower, upper), expected)

@@ -1,0 +1,68 @@
+"""Cells of horizontal grids that points are in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from regnet_core.geometry import Array
+from regnet_core.ops.compiled import compiled
+
+
+def cells_below(points: npt.NDArray[Any], cell: float) -> npt.NDArray[np.int64]:
+    """(N, 2): floor(x / cell) and floor(y / cell) of points (N, >= 2)."""
+    index = np.empty((len(points), 2), np.int64)
+    _floor(points, cell, index)
+    return index
+
+
+def mark_nearest(points: npt.NDArray[Any], low: Array, cell: float, marked: npt.NDArray[np.bool_]) -> None:
+    """Mark, in (nx, ny), the cell whose centre is nearest to each point (N, >= 2); all must be on the map.
+
+    Args:
+        points: (N, >= 2) [m].
+        low: (2,), the centre of cell (0, 0) [m].
+        cell: edge length of a cell [m].
+        marked: what changes.
+    """
+    _mark(points, low, cell, marked)
+
+
+def highest(points: npt.NDArray[Any], height: Array, low: Array, cell: float, shape: tuple[int, int]) -> Array:
+    """(nx, ny): the largest height (N,) of the points (N, >= 2) nearest to each cell, or 0.
+
+    Args:
+        points: (N, >= 2) [m], all on the map.
+        height: (N,) [m].
+        low: (2,), the centre of cell (0, 0) [m].
+        cell: edge length of a cell [m].
+        shape: nx, ny.
+    """
+    top = np.zeros(shape)
+    _raise(points, height, low, cell, top)
+    return top
+
+
+@compiled
+def _raise(points, height, low, cell, top):  # type: ignore[no-untyped-def]
+    for p in range(len(points)):
+        i = np.int64(np.rint((points[p, 0] - low[0]) / cell))
+        j = np.int64(np.rint((points[p, 1] - low[1]) / cell))
+        top[i, j] = max(top[i, j], height[p])
+
+
+@compiled
+def _floor(points, cell, index):  # type: ignore[no-untyped-def]
+    for p in range(len(points)):
+        index[p, 0] = np.int64(np.floor(points[p, 0] / cell))
+        index[p, 1] = np.int64(np.floor(points[p, 1] / cell))
+
+
+@compiled
+def _mark(points, low, cell, marked):  # type: ignore[no-untyped-def]
+    for p in range(len(points)):
+        i = np.int64(np.rint((points[p, 0] - low[0]) / cell))
+        j = np.int64(np.rint((points[p, 1] - low[1]) / cell))
+        marked[i, j] = True
