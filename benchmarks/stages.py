@@ -194,7 +194,7 @@ NETWORK_STAGES = (
     Stage(
         "score head",
         "network",
-        "the confidence of every point",
+        "the confidence of every point that may become positive",
         ("regnet_core.nn.heads:ScoreHead.forward",),
         needed=stage.network,
         ledger="score",
@@ -204,6 +204,7 @@ NETWORK_STAGES = (
         "network",
         "the most confident points, and the maximum of the features around each",
         (
+            "regnet_core.nn.regions:candidate_points",
             "regnet_core.nn.regions:select_regions",
             "regnet_core.nn.regions:pool_regions",
             "regnet_core.nn.regions:region_neighbours",

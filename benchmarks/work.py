@@ -51,6 +51,10 @@ def _of_closing_areas(arguments: tuple[Any, ...], near: Any) -> Mapping[str, flo
     return {"candidates": len(arguments[1]), "closing points": len(near.indices)}
 
 
+def _of_score(arguments: tuple[Any, ...], confidence: Any) -> Mapping[str, float]:
+    return {"scored": len(confidence)}
+
+
 def _of_backbone(arguments: tuple[Any, ...], features: Any) -> Mapping[str, float]:
     return {"feature bytes": features.element_size()}
 
@@ -61,6 +65,7 @@ OBSERVERS: dict[str, Observer] = {
     "regnet_core.nn.regions:select_regions": _of_selection,
     "regnet_core.nn.refinement:closing_points": _of_closing_areas,
     "regnet_core.nn.backbone:Backbone.forward": _of_backbone,
+    "regnet_core.nn.heads:ScoreHead.forward": _of_score,
 }
 """What has to be known of a detection to count its work."""
 
@@ -88,9 +93,9 @@ def needed_work(config: NetworkConfig, counts: Mapping[str, float]) -> dict[str,
     """
     size = counts.get("feature bytes", _FLOAT)
     found = {**_abstractions(config, counts, size), **_propagations(config, counts, size)}
-    points, regions = counts.get("points", 0.0), counts.get("regions", 0.0)
+    regions = counts.get("regions", 0.0)
     head = [config.features, *config.head]
-    found["score head"] = _dense([*head, 1], points, size)
+    found["score head"] = _dense([*head, 1], counts.get("scored", 0.0), size)
     outputs = config.anchors * (RESIDUALS + 2)
     own, last = max(1, config.grasp_heads), [config.head[-1], outputs]  # without heads of its own it uses the score's
     flops = own * _dense(head, regions, size).flops + _dense(last, regions, size).flops

@@ -14,7 +14,7 @@ from regnet_core.nn.config import NetworkConfig
 from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
 from regnet_core.nn.refinement import RefineNetwork
-from regnet_core.nn.regions import pool_regions, regions_at, select_regions
+from regnet_core.nn.regions import candidate_points, pool_regions, regions_at, select_regions
 from regnet_core.nn.results import (
     Candidates,
     Output,
@@ -80,22 +80,28 @@ class RegNet(nn.Module):
             hierarchy: of the clouds, where it was made ahead.
             positives: (R,) rows of the clouds' points, in the order of the clouds, to take instead of the most
                 confident ones: for training.
-            eligible: (N,) which points may be among the most confident ones; all of them when None.
+            eligible: (N,) which points may be among the most confident ones; all of them when None. The confidence of
+                others is then not computed, but -infinity.
         """
         clouds = with_shapes(clouds, self.config)
         cfg, hierarchy = self.config, hierarchy or build_hierarchy(clouds, self.config)
         features = self.backbone(clouds, hierarchy)
-        confidence = self.score(features)
         if positives is None:
-            if cfg.least_confidence > 0.0:
-                sure = torch.sigmoid(confidence) >= cfg.least_confidence
-                eligible = sure if eligible is None else sure & eligible
-            regions = select_regions(confidence, clouds, hierarchy, cfg.layer, cfg.positives, eligible)
+            candidates = candidate_points(clouds, hierarchy, cfg.layer, eligible)
+            confidence = self.score(features) if eligible is None else self._confidence(features, candidates)
+            regions = select_regions(confidence, candidates, clouds, cfg.positives, cfg.least_confidence)
         else:
+            confidence = self.score(features)
             regions = regions_at(positives, clouds)
         pooled = pool_regions(features, regions, clouds, hierarchy, cfg.region)
         anchors: StagePrediction = self.grasp(pooled, self.score.mlp)
         return Proposed(hierarchy, features, confidence, regions, pooled, anchors)
+
+    def _confidence(self, features: torch.Tensor, candidates: list[torch.Tensor]) -> torch.Tensor:
+        """(N,): that of the candidates alone; the others, which cannot become positive, have none."""
+        rows = torch.cat(candidates)
+        some = self.score(features.index_select(0, rows))
+        return some.new_full((len(features),), -torch.inf).index_copy(0, rows, some)
 
     @torch.no_grad()
     def best_anchors(self, proposed: Proposed, count: int = 1) -> Candidates:

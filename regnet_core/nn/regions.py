@@ -13,36 +13,45 @@ from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
 from regnet_core.ops.segments import neighbour_max
 
 
+def candidate_points(
+    clouds: Clouds, hierarchy: Hierarchy, layer: int, eligible: torch.Tensor | None = None
+) -> list[torch.Tensor]:
+    """Rows of the points of each cloud that may become positive.
+
+    Args:
+        clouds: the points.
+        hierarchy: of the clouds.
+        layer: 1 takes all points, 2 the centroids of the first level, and so on.
+        eligible: (N,) which of these; all of them when None.
+    """
+    found = []
+    for i, own in enumerate(clouds.slices()):
+        if layer == 1:
+            rows = torch.arange(own.start, own.stop, device=clouds.points.device)
+        else:
+            level = hierarchy.levels[layer - 2]
+            rows = level.source[level.slices()[i]]
+        found.append(rows if eligible is None else rows[eligible[rows]])
+    return found
+
+
 def select_regions(
-    confidence: torch.Tensor,
-    clouds: Clouds,
-    hierarchy: Hierarchy,
-    layer: int,
-    positives: int,
-    eligible: torch.Tensor | None = None,
+    confidence: torch.Tensor, candidates: list[torch.Tensor], clouds: Clouds, positives: int, least: float = 0.0
 ) -> Regions:
     """The most confident points of each cloud.
 
     Args:
-        confidence: (N,) of all points.
+        confidence: (N,) logits of all points.
+        candidates: rows of each cloud's points to choose from.
         clouds: the points.
-        hierarchy: of the clouds.
-        layer: 1 chooses among all points, 2 among the centroids of the first level, and so on.
         positives: k1, how many of each cloud at most.
-        eligible: (N,) which points may be chosen; all of them when None.
+        least: points below this confidence are not chosen.
     """
     confidence = confidence.detach()
     chosen = []
-    for i, own in enumerate(clouds.slices()):
-        if layer == 1:
-            rows = torch.arange(own.start, own.stop, device=confidence.device)
-        else:
-            level = hierarchy.levels[layer - 2]
-            rows = level.source[level.slices()[i]]
-        if eligible is not None:
-            rows = rows[eligible[rows]]
-        best = confidence[rows].sort(descending=True, stable=True).indices[:positives]
-        chosen.append(rows[best])
+    for rows in candidates:
+        sure = rows[torch.sigmoid(confidence[rows]) >= least]
+        chosen.append(sure[confidence[sure].sort(descending=True, stable=True).indices[:positives]])
     return regions_at(torch.cat(chosen), clouds)
 
 

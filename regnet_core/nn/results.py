@@ -41,7 +41,8 @@ class Proposed(NamedTuple):
     features: torch.Tensor
     """(N, C): of all points, from the backbone."""
     confidence: torch.Tensor
-    """(N,) float32: logit of the point grasp confidence, eq. (1)."""
+    """(N,) float32: logit of the point grasp confidence, eq. (1); -infinity where it was not computed, because the
+    point cannot become positive."""
     regions: Regions
     region_features: torch.Tensor
     """(R, C)."""

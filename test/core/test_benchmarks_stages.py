@@ -124,7 +124,8 @@ def test_the_ledgers_operations_all_belong_to_stages(name: str) -> None:
 
 def full_counts() -> dict[str, float]:
     """What would be noted of a cloud in which every slot of the paper's network is taken."""
-    counts: dict[str, float] = {"points": 25_600, "regions": 768, "candidates": 768 * 4, "feature bytes": 2}
+    counts: dict[str, float] = {"points": 25_600, "scored": 25_600, "regions": 768, "feature bytes": 2}
+    counts["candidates"] = 768 * 4
     for number, abstraction in enumerate(REGNETV2.abstractions, 1):
         counts[f"centroids {number}"] = abstraction.centroids
         counts[f"neighbours {number}"] = abstraction.centroids * abstraction.neighbours

@@ -170,6 +170,24 @@ def test_positive_points_are_the_most_confident_of_their_layer() -> None:
         assert torch.equal(proposed.regions.source, best)
 
 
+@pytest.mark.parametrize("layer", [1, 2])
+def test_confidence_is_computed_where_it_is_needed(layer: int) -> None:
+    net, clouds = network(TINY.replace(layer=layer, least_confidence=0.05)), batch(900, 600)
+    eligible = clouds.points[:, 0] > clouds.points[:, 0].median()
+    with torch.no_grad():
+        every, some = net.propose(clouds), net.propose(clouds, eligible=eligible)
+    known = some.confidence.isfinite()
+    candidates = eligible.clone()
+    if layer == 2:
+        candidates[:] = False
+        candidates[every.hierarchy.levels[0].source] = True
+        candidates &= eligible
+    assert torch.equal(known, candidates) and 0 < known.sum() < 1000
+    torch.testing.assert_close(some.confidence[known], every.confidence[known], atol=1e-5, rtol=1e-5)
+    chosen = some.regions.source
+    assert len(chosen) > 0 and candidates[chosen].all() and (some.confidence[chosen].sigmoid() >= 0.05).all()
+
+
 def test_positive_points_can_be_given() -> None:
     clouds = batch(300, 400)
     proposed = network(TINY).propose(clouds, positives=torch.tensor([299, 7, 300, 650]))
