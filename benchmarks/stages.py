@@ -241,7 +241,7 @@ NETWORK_STAGES = (
         "refinement",
         "network",
         "the Refine Network on these points",
-        ("regnet_core.nn.refinement:RefineNetwork.forward",),
+        ("regnet_core.nn.refinement:RefineNetwork.forward", "regnet_core.nn.refinement:RefineNetwork.carried"),
         needed=stage.with_refinement,
         ledger="refinement",
     ),

@@ -95,7 +95,8 @@ class RegNet(nn.Module):
             regions = regions_at(positives, clouds)
         pooled = pool_regions(features, regions, clouds, hierarchy, cfg.region)
         anchors: StagePrediction = self.grasp(pooled, self.score.mlp)
-        return Proposed(hierarchy, features, confidence, regions, pooled, anchors)
+        carried = None if self.refinement is None else self.refinement.carried(features)
+        return Proposed(hierarchy, features, confidence, regions, pooled, anchors, carried)
 
     def _confidence(self, features: torch.Tensor, candidates: list[torch.Tensor]) -> torch.Tensor:
         """(N,): that of the candidates alone; the others, which cannot become positive, have none."""
@@ -155,7 +156,7 @@ class RegNet(nn.Module):
             raise ModelError(f"the network '{self.config.name}' has no refinement")
         pose = Pose(candidates.pose.rotation.float(), candidates.pose.translation.float())
         refined: Refined = self.refinement(
-            candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.features,
+            candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.carried,
             with_shapes(clouds, self.config), proposed.hierarchy, gripper or Gripper(),
         )  # fmt: skip
         return refined

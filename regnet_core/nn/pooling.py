@@ -32,28 +32,32 @@ OwnFeatures = Callable[[slice, Neighbourhoods], torch.Tensor]
 class PooledMlp(Mlp):
     """(N, C_in - K) features of points and (E, K) of neighbours -> (centres, C_out); 0 where there is no neighbour."""
 
+    def carried(self, own_channels: int, features: torch.Tensor) -> torch.Tensor:
+        """What the points' features (N, C_in - K) come to in the first layer (N, C_1), for ``pooled``."""
+        weight, bias = self.linear_part()
+        return functional.linear(features, weight[:, own_channels:], bias)
+
     def pooled(
-        self, own: OwnFeatures, own_channels: int, features: torch.Tensor | None, neighbours: Neighbourhoods
+        self, own: OwnFeatures, own_channels: int, carried: torch.Tensor | None, neighbours: Neighbourhoods
     ) -> torch.Tensor:
         """Args:
             own: features of the neighbours' own.
             own_channels: K, how many.
-            features: (N, C_in - K) of the points; None where they have none.
+            carried: (N, C_1) of the points' features; None where they have none.
             neighbours: of the centres, as rows of the points.
 
         Returns:
             (centres, C_out).
         """
         weight, bias = self.linear_part()
-        once = None if features is None else functional.linear(features, weight[:, own_channels:], bias)
         for_own = weight[:, :own_channels]
 
         def tile(some: slice, near: Neighbourhoods) -> torch.Tensor:
             brought = own(some, near)
-            if once is None:
+            if carried is None:
                 product = functional.linear(brought, for_own, bias)
             else:
-                product = torch.addmm(once.index_select(0, near.indices), brought, for_own.t())
+                product = torch.addmm(carried.index_select(0, near.indices), brought, for_own.t())
             return self._maximum(product, near.offsets)
 
         if in_one_go(neighbours.indices):

@@ -43,12 +43,17 @@ class RefineNetwork(nn.Module):
         self.class_output = output_layer(last, 1, RARE)
         self.residual_output = output_layer(last, RESIDUALS + 1)
 
+    def carried(self, features: torch.Tensor) -> torch.Tensor | None:
+        """What features (N, C) of all points come to in the first layer (N, C_1), the same in every pass; None where
+        points do not bring them along."""
+        return self.mlp.carried(self.own_channels, features) if self.refinement.point_features else None
+
     def forward(
         self,
         candidates: Candidates,
         regions: Regions,
         region_features: torch.Tensor,
-        features: torch.Tensor,
+        carried: torch.Tensor | None,
         clouds: Clouds,
         hierarchy: Hierarchy,
         gripper: Gripper,
@@ -57,14 +62,14 @@ class RefineNetwork(nn.Module):
         candidates: G proposals, in the order of their clouds.
         regions: R regions.
         region_features: (R, C).
-        features: (N, C) of all points.
+        carried: what ``carried`` gives.
         clouds: the points and the grippers' widths.
         hierarchy: of the clouds.
         gripper: depth and height of the hand; its width is the clouds'.
         """
         cloud = regions.cloud[candidates.region]
         near = closing_points(candidates.pose, cloud, clouds, hierarchy, gripper, self.refinement)
-        seen = self._seen(candidates.pose, cloud, near, features, clouds)
+        seen = self._seen(candidates.pose, cloud, near, carried, clouds)
         both = self.fusion(torch.cat([seen, region_features.index_select(0, candidates.region).to(seen.dtype)], dim=1))
         numbers = self.residual_output(both).float()
         logit = self.class_output(both).float().squeeze(1)
@@ -72,14 +77,14 @@ class RefineNetwork(nn.Module):
         return Refined(prediction, near.counts > 0)
 
     def _seen(
-        self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, features: torch.Tensor, clouds: Clouds
+        self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, carried: torch.Tensor | None, clouds: Clouds
     ) -> torch.Tensor:
         """(G, C): the maximum over the points of each closing area."""
 
         def own(some: slice, near: Neighbourhoods) -> torch.Tensor:
             return self._own_features(Pose(*(value[some] for value in pose)), cloud[some], near, clouds)
 
-        return self.mlp.pooled(own, self.own_channels, features if self.refinement.point_features else None, near)
+        return self.mlp.pooled(own, self.own_channels, carried, near)
 
     def _own_features(self, pose: Pose, cloud: torch.Tensor, near: Neighbourhoods, clouds: Clouds) -> torch.Tensor:
         """(E, 3 + C): positions in the grasp frame, the width, the colours, and the local shapes in the grasp frame."""

@@ -48,6 +48,8 @@ class Proposed(NamedTuple):
     """(R, C)."""
     anchors: StagePrediction
     """(R, M)."""
+    carried: torch.Tensor | None
+    """(N, C_1): what the features come to in the Refine Network's first layer; None where it does not take them."""
 
 
 class Candidates(NamedTuple):

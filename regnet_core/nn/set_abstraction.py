@@ -33,4 +33,5 @@ class SetAbstraction(nn.Module):
             centres = level.points[some].index_select(0, near.centres())
             return (points.index_select(0, near.indices) - centres) / self.radius
 
-        return self.mlp.pooled(offsets, 3, features, level.neighbours)
+        carried = None if features is None else self.mlp.carried(3, features)
+        return self.mlp.pooled(offsets, 3, carried, level.neighbours)
