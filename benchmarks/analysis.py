@@ -18,7 +18,7 @@ Answers = Sequence[Mapping[str, Any]]
 def peak_record(threads: int, answers: Answers) -> PeakRecord:
     """The peaks of all trials with so many threads."""
     return PeakRecord(
-        threads, **{name: Summary.of([a[name] for a in answers]) for name in ("fp32", "bf16", "copy", "triad")}
+        threads, **{name: Summary.of([a[name] for a in answers]) for name in ("fp32", "bf16", "copy", "triad", "int8")}
     )
 
 

@@ -109,6 +109,8 @@ def _peaks(before: Document, after: Document) -> Iterator[Change]:
             words = f"peak, {old.threads} threads"
             yield Change(f"{words}, fp32", old.fp32, new.fp32, "GFLOP/s", 1e-9, False, False)
             yield Change(f"{words}, bf16", old.bf16, new.bf16, "GFLOP/s", 1e-9, False, False)
+            if old.int8 is not None and new.int8 is not None:
+                yield Change(f"{words}, int8", old.int8, new.int8, "GOP/s", 1e-9, False, False)
             yield Change(f"{words}, triad", old.triad, new.triad, "GB/s", 1e-9, False, False)
 
 

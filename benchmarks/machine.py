@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
-_UNITS = ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "amx_int8")
+_UNITS = ("avx2", "avx512f", "avx512_bf16", "avx512_vnni", "amx_bf16", "amx_int8")
 """Features of processors that matter here, as Linux names them."""
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "fpsample")
 _TICKS = os.sysconf("SC_CLK_TCK")

@@ -15,9 +15,9 @@ from regnet_core.weights import network_names
 
 UNTRAINED = "untrained:"
 """Before the name of a network that is wanted with random weights, although it has trained ones."""
-Precision = Literal["bf16", "fp32"]
-PRECISIONS: tuple[Precision, ...] = ("bf16", "fp32")
-_CHOICE = "regnet_core.nn.precision:has_fast_bf16"
+Precision = Literal["int8", "bf16", "fp32"]
+PRECISIONS: tuple[Precision, ...] = ("int8", "bf16", "fp32")
+_CHOICE, _BF16 = "regnet_core.nn.precision:cpu_precision", "regnet_core.nn.precision:has_fast_bf16"
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def ready_model(choice: ModelChoice, folder: Path, seed: int = 0) -> str:
 
 @contextmanager
 def precision(wanted: Precision) -> Iterator[None]:
-    """Make networks on the CPU compute in bf16 or in fp32, whatever this processor is better at.
+    """Make networks on the CPU compute in int8, bf16 or fp32, whatever this processor is better at.
 
     It must hold before a network is loaded, which may prepare its weights for one of them.
 
@@ -95,5 +95,6 @@ def precision(wanted: Precision) -> Iterator[None]:
         StageError: the choice is no longer made where it was.
     """
     with ExitStack() as stack:
-        replace(stack, resolve(_CHOICE), lambda: wanted == "bf16")
+        replace(stack, resolve(_CHOICE), lambda: wanted)
+        replace(stack, resolve(_BF16), lambda: wanted == "bf16")
         yield

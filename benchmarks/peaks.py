@@ -1,4 +1,5 @@
-"""What the machine can do at best: matrix products in fp32 and bf16, and memory traffic; by torch, as the network does.
+"""What the machine can do at best: matrix products in fp32, bf16 and int8, and memory traffic; by torch, as the network
+does.
 
 A peak is the best of many short trials: it is the measure that stages are held against, and must not depend on what
 else the machine does meanwhile. Whatever the processor lacks units for is measured just the same.
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import torch
 
 from benchmarks.machine import last_level_cache
+from regnet_core.nn.int8 import Packed, has_byte_products
 
 _SIDE = 2048
 """Of the square matrices: large enough that starting and packing do not count, small enough for a trial to be short."""
@@ -33,6 +35,8 @@ class PeakSample:
     """Memory traffic of a = b [bytes/s], read and written."""
     triad: float
     """That of a = b + s c [bytes/s], as STREAM counts it."""
+    int8: float
+    """Matrix product of bytes [operations/s], 2 for each multiply-add; 0 where this torch has none."""
 
 
 class PeakMeter:
@@ -47,6 +51,8 @@ class PeakMeter:
         generator = torch.Generator().manual_seed(0)
         self._matrices = [torch.rand(side, side, generator=generator) - 0.5 for _ in range(3)]
         self._half = [matrix.bfloat16() for matrix in self._matrices]
+        self._bytes = (self._matrices[1] + 0.5).mul(255.0).to(torch.uint8)
+        self._layer = Packed.of(self._matrices[2], None) if has_byte_products() else None
         self._arrays = [torch.ones(size // 4) for _ in range(3)]
 
     @torch.inference_mode()
@@ -59,11 +65,18 @@ class PeakMeter:
             bf16=self._product(self._half),
             copy=2 * nbytes / _fastest(lambda: a.copy_(b)),
             triad=3 * nbytes / _fastest(lambda: torch.add(b, c, alpha=3.0, out=a)),
+            int8=self._byte_product(),
         )
 
     def _product(self, matrices: list[torch.Tensor]) -> float:
         out, left, right = matrices
         return float(2 * len(out) ** 3 / _fastest(lambda: torch.mm(left, right, out=out)))
+
+    def _byte_product(self) -> float:
+        rows, layer = self._bytes, self._layer
+        if layer is None:
+            return 0.0
+        return float(2 * len(rows) ** 3 / _fastest(lambda: layer(rows, 1 / 255, rectified=True, as_bytes=True)))
 
 
 def _fastest(work: Callable[[], object]) -> float:

@@ -39,9 +39,13 @@ class PeakRecord:
     """[bytes/s]"""
     triad: Summary
     """[bytes/s]"""
+    int8: Summary | None = None
+    """Matrix product of bytes [operations/s]; None where it was not measured."""
 
     def flops(self, precision: str) -> float:
         """The peak of matrix products in a precision [FLOP/s]."""
+        if precision == "int8" and self.int8 is not None:
+            return self.int8.most
         return self.bf16.most if precision == "bf16" else self.fp32.most
 
     @property
@@ -83,7 +87,7 @@ class RunRecord:
     weights: str
     """"trained", "file", "random, seed N" or "none"."""
     precision: str
-    """"bf16", "fp32", or empty for models that have none."""
+    """"int8", "bf16", "fp32", or empty for models that have none."""
     threads: int
     cloud: str
     points: int

@@ -108,9 +108,15 @@ def _sections(document: Document) -> Iterator[str]:
 
 
 def _peaks(peaks: Sequence[PeakRecord]) -> str:
-    header = ["peak, threads", "fp32 [GFLOP/s]", "bf16 [GFLOP/s]", "copy [GB/s]", "triad [GB/s]"]
+    header = ["peak, threads", "fp32 [GFLOP/s]", "bf16 [GFLOP/s]", "int8 [GOP/s]", "copy [GB/s]", "triad [GB/s]"]
     rows = [
-        [str(peak.threads), *(f"{s.most / 1e9:.1f}" for s in (peak.fp32, peak.bf16, peak.copy, peak.triad))]
+        [
+            str(peak.threads),
+            *(
+                "–" if s is None else f"{s.most / 1e9:.1f}"
+                for s in (peak.fp32, peak.bf16, peak.int8, peak.copy, peak.triad)
+            ),
+        ]
         for peak in peaks
     ]
     return markdown(header, rows)

@@ -70,7 +70,7 @@ class Subject:
         """Args:
         model: as ``choose_model`` takes it.
         weights_seed: of random weights.
-        wanted: "bf16", "fp32", or "" for the processor's choice.
+        wanted: "int8", "bf16", "fp32", or "" for the processor's choice.
         width: of the gripper [m].
         """
         self._stack = ExitStack()

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from regnet_core.nn.int8 import ByteLayers, takes_bytes
 from regnet_core.nn.tiles import TILE, in_one_go, over_tiles
 
 
@@ -48,17 +49,18 @@ class DenseLayer(nn.Module):
         if self.training:
             return LinearPart(self.linear.weight, None)
         if torch.is_grad_enabled():
-            return self._fold()
+            return self.folded()
         device = self.linear.weight.device.type
         autocast = torch.is_autocast_enabled(device)
         dtype = torch.get_autocast_dtype(device) if autocast else self.linear.weight.dtype
         if dtype not in self._folded:
             with torch.autocast(device, enabled=False):
-                weight, bias = self._fold()
+                weight, bias = self.folded()
                 self._folded[dtype] = LinearPart(weight.to(dtype), None if bias is None else bias.to(dtype))
         return self._folded[dtype]
 
-    def _fold(self) -> LinearPart:
+    def folded(self) -> LinearPart:
+        """W and the bias with the normalisation of evaluation in them, in single precision."""
         norm = self.norm
         mean, variance = norm.running_mean, norm.running_var
         assert mean is not None and variance is not None  # the layer keeps statistics
@@ -95,13 +97,36 @@ class DenseLayer(nn.Module):
 class Mlp(nn.ModuleList):
     """Dense layers one after the other, shared by all rows: (n, C_in) -> (n, C_out)."""
 
+    pools = False
+    """Whether the rows that the last layer gives are pooled before anything else."""
+
     def __init__(self, inputs: int, channels: Sequence[int]) -> None:
         sizes = (inputs, *channels)
         super().__init__(DenseLayer(a, b) for a, b in pairwise(sizes))
+        self._bytes: ByteLayers | None = None
+
+    def use_bytes(self) -> None:
+        """Compute with bytes (int8.py) on a CPU, where no gradients are wanted, until the mode changes."""
+        self._bytes = ByteLayers.of(cast("list[DenseLayer]", list(self)), self.pools)
+
+    def in_bytes(self) -> ByteLayers | None:
+        """The layers that compute with bytes, where these are to be used."""
+        return None if torch.is_grad_enabled() else self._bytes
+
+    def train(self, mode: bool = True) -> Mlp:
+        """Training or evaluation; either way without bytes."""
+        self._bytes = None
+        return super().train(mode)
+
+    def _apply(self, fn: Any, recurse: bool = True) -> Mlp:
+        self._bytes = None
+        return super()._apply(fn, recurse)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         if not in_one_go(rows):
             return over_tiles(self.forward, rows.split(TILE))
+        if (layers := self.in_bytes()) is not None and takes_bytes(rows):
+            return layers.of_rows(rows)
         return self.finish(functional.linear(rows, *self.linear_part()))
 
     def linear_part(self) -> LinearPart:

@@ -13,6 +13,7 @@ from regnet_core.nn.clouds import Clouds, with_shapes
 from regnet_core.nn.config import NetworkConfig
 from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
+from regnet_core.nn.layers import Mlp
 from regnet_core.nn.refinement import RefineNetwork
 from regnet_core.nn.regions import candidate_points, pool_regions, regions_at, select_regions
 from regnet_core.nn.results import (
@@ -39,6 +40,12 @@ class RegNet(nn.Module):
         self.score = ScoreHead(config)
         self.grasp = GraspHead(config)
         self.refinement = None if config.refinement is None else RefineNetwork(config, config.refinement)
+
+    def use_bytes(self) -> None:
+        """Compute with bytes (int8.py) on a CPU, where no gradients are wanted, until the mode changes."""
+        for module in self.modules():
+            if isinstance(module, Mlp):
+                module.use_bytes()
 
     def forward(
         self,

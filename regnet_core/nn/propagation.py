@@ -12,8 +12,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from regnet_core.nn.int8 import ByteLayers, product_of_features, takes_bytes
 from regnet_core.nn.layers import Mlp
 from regnet_core.nn.tiles import in_one_go, over_tiles, tiles
+from regnet_core.ops.bytes import Gathered, Own, bytes_of_sum
 from regnet_core.ops.interpolation import Interpolation, interpolate
 
 
@@ -34,11 +36,28 @@ class FeaturePropagation(nn.Module):
         Returns:
             (N, C_out).
         """
+        if (layers := self.mlp.in_bytes()) is not None:
+            return self._in_bytes(layers, features, how, skip)
         weight, bias = self.mlp.linear_part()
         from_centroids, for_skip = functional.linear(features, weight[:, : self.inputs]), weight[:, self.inputs :]
 
         def tile(rows: slice) -> torch.Tensor:
             carried = interpolate(from_centroids, Interpolation(how.indices[rows], how.weights[rows]))
             return self.mlp.finish(carried + functional.linear(skip[rows], for_skip, bias))
+
+        return tile(slice(None)) if in_one_go(skip) else over_tiles(tile, tiles(len(skip)))
+
+    def _in_bytes(
+        self, layers: ByteLayers, features: torch.Tensor, how: Interpolation, skip: torch.Tensor
+    ) -> torch.Tensor:
+        from_centroids = product_of_features(layers.first(0, self.inputs, False), features)
+        narrow = layers.first_weight[:, self.inputs :].t()
+
+        def tile(rows: slice) -> torch.Tensor:
+            carried, own, wide = Gathered(from_centroids, how.indices[rows], how.weights[rows]), skip[rows], None
+            if takes_bytes(own):
+                wide = product_of_features(layers.first(self.inputs, None, False), own)
+            columns = None if wide is not None else Own(own, narrow)
+            return layers.after_first(bytes_of_sum(carried, columns, wide, layers.first_bias))
 
         return tile(slice(None)) if in_one_go(skip) else over_tiles(tile, tiles(len(skip)))

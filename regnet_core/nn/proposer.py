@@ -8,10 +8,11 @@ import torch
 from regnet_core.geometry import Mask
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.nn import precision
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
-from regnet_core.nn.precision import autocast
+from regnet_core.nn.precision import Precision
 from regnet_core.ops.nearby import near_any
 from regnet_core.pointcloud import surroundings
 from regnet_core.proposer import Proposals
@@ -31,6 +32,9 @@ class NetworkProposer:
         """
         self.device = torch.device(device)
         self.network = network.to(self.device).eval()
+        self.precision: Precision = precision.cpu_precision() if self.device.type == "cpu" else "bf16"
+        if self.precision == "int8":
+            self.network.use_bytes()
         self.name = network.config.name
 
     @torch.inference_mode()
@@ -47,7 +51,7 @@ class NetworkProposer:
             return Proposals(Grasps.empty(), 0)
         clouds = self._clouds(scene, rows, gripper)
         mask = torch.from_numpy(eligible).to(self.device)
-        with autocast(self.device):
+        with precision.detecting(self.device, self.precision):
             output = self.network(clouds, gripper, eligible=mask)
         return Proposals(decode(self.network, output, clouds)[0], len(output.candidates.region))
 

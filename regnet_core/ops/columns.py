@@ -66,7 +66,7 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
     return found
 
 
-def slope_at(density: npt.NDArray[np.float32], where: Array, step: float) -> npt.NDArray[np.float32]:
+def slope_at(density: npt.NDArray[np.floating], where: Array, step: float) -> Array:
     """(N, 3): what the density rises by along each axis, from ``step`` before to ``step`` behind.
 
     Args:
@@ -77,10 +77,10 @@ def slope_at(density: npt.NDArray[np.float32], where: Array, step: float) -> npt
     slope = np.empty((len(where), 3), np.float32)
     at = np.ascontiguousarray(where, np.float64)
     for_each_range(lambda start, stop: _slope(density, at, step, start, stop, slope), len(at), least=1024)
-    return slope
+    return slope.astype(np.float64)
 
 
-def walls(density: npt.NDArray[np.float32], index: npt.NDArray[np.int64], level: float, least: float) -> Walls:
+def walls(density: npt.NDArray[np.floating], index: npt.NDArray[np.int64], level: float, least: float) -> Walls:
     """Where the surface that the density crosses the level at is, near voxels (V, 3), and which way it faces.
 
     Args:

@@ -70,7 +70,7 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
     threads at a time, which the callbacks of a ROS executor do.
     """
     pieces = min(available_cores() * 4, max(1, count // least))
-    if pieces == 1 or getattr(_thread, "alone", False):
+    if pieces == 1 or available_cores() == 1 or getattr(_thread, "alone", False):
         kernel(0, count)
         return
     bounds = [count * i // pieces for i in range(pieces + 1)]

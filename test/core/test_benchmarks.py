@@ -47,7 +47,9 @@ def machine(processor: str = "Made Up 1") -> Machine:
     return Machine(processor, ("avx2",), 2, 1 << 20, 1 << 33, "3.12.0", {"numpy": "2.0"}, "", "abc")
 
 
-PEAK = PeakRecord(2, fp32=spread(100e9), bf16=spread(1000e9), copy=spread(20e9), triad=spread(25e9))
+PEAK = PeakRecord(
+    2, fp32=spread(100e9), bf16=spread(1000e9), copy=spread(20e9), triad=spread(25e9), int8=spread(2000e9)
+)
 
 
 def run_of(total: float = 0.2, cloud: str = "bag 0", model: str = "regnetv2") -> RunRecord:
@@ -235,7 +237,8 @@ def test_speed_ups_against_the_plain_implementation() -> None:
 def test_tables_show_everything(tmp_path: Path) -> None:
     text = result_tables(document())
     for shown in (
-        "Made Up 1", "**Warning:** a warning.", "| 2 | 110.0 | 1100.0 | 22.0 | 27.5 |", "200.0 (190.0 to 210.0)",
+        "Made Up 1", "**Warning:** a warning.", "| 2 | 110.0 | 1100.0 | 2200.0 | 22.0 | 27.5 |",
+        "200.0 (190.0 to 210.0)",
         "regnetv2 (random, seed 0)", "| abstraction 1 | 100.00 |", "12.5 | 9.4 | 10.2 |", "detector 1.50",
         "+0.10 ± 0.01 | no |",
     ):  # fmt: skip

@@ -71,8 +71,10 @@ def test_the_precision_is_forced_for_a_while() -> None:
     with precision("bf16"):
         assert precision_module.autocast(torch.device("cpu")).fast_dtype == torch.bfloat16
         assert precision_module.has_fast_bf16()
-    with precision("fp32"):
-        assert not precision_module.has_fast_bf16()
+        assert precision_module.cpu_precision() == "bf16"
+    for other in ("fp32", "int8"):
+        with precision(other):
+            assert not precision_module.has_fast_bf16() and precision_module.cpu_precision() == other
     assert precision_module.has_fast_bf16() == before
 
 

@@ -1,8 +1,9 @@
-"""The golden files of networks hold with either number format, so that any processor can be compared with them."""
+"""The golden files of networks hold with every number format, so that any processor can be compared with them."""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from types import ModuleType
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 from golden import BAGS, FILES, assert_alike, assert_count, tolerance
 from live import REPOSITORY
 
-from regnet_core import Grasps
+from regnet_core import Grasps, models
 from regnet_core.models import DEFAULT_MODEL
 from regnet_core.nn import precision
+from regnet_core.nn.int8 import has_byte_products
 
 MODELS = sorted({model for model, _ in FILES})
 
@@ -32,12 +34,23 @@ def test_there_are_files_of_every_bag_for_each_model() -> None:
     assert len(BAGS) >= 5
 
 
-@pytest.mark.parametrize("bf16", [True, False], ids=["bf16", "single precision"])
+@pytest.fixture
+def nothing_loaded() -> Iterator[None]:
+    """Networks are made ready for the processor when they are loaded, and kept."""
+    models._network.cache_clear()
+    yield
+    models._network.cache_clear()
+
+
+@pytest.mark.usefixtures("nothing_loaded")
+@pytest.mark.parametrize("numbers", ["int8", "bf16", "fp32"])
 @pytest.mark.parametrize("model", [model for model in MODELS if model != "antipodal"])
-def test_either_number_format_gives_what_the_file_says(
-    model: str, bf16: bool, make_golden: ModuleType, monkeypatch: pytest.MonkeyPatch
+def test_every_number_format_gives_what_the_file_says(
+    model: str, numbers: str, make_golden: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(precision, "has_fast_bf16", lambda: bf16)
+    if numbers == "int8" and not has_byte_products():
+        pytest.skip("this torch does not multiply bytes")
+    monkeypatch.setattr(precision, "cpu_precision", lambda: numbers)
     limits = tolerance(model)
     for bag in sorted(BAGS):
         found = make_golden.golden(REPOSITORY / "bags" / bag, model)
