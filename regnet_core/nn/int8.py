@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import nn
 
+from regnet_core.nn.tiles import BYTES_TILE, one_by_one, tiles
 from regnet_core.ops.bytes import bytes_of_rows
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def takes_bytes(rows: torch.Tensor) -> bool:
 def product_of_features(packed: Packed, features: torch.Tensor) -> torch.Tensor:
     """The linear layer's product with features (n, C_in) of float32 -> (n, C_out) float32."""
     rows, unit = bytes_of_rows(features)
-    return packed(rows, unit, rectified=False, as_bytes=False)
+    return packed(rows, unit, rectified=False, as_bytes=False)[: len(features)]
 
 
 @dataclass
@@ -119,8 +120,12 @@ class ByteLayers:
 
     def of_rows(self, rows: torch.Tensor) -> torch.Tensor:
         """(n, C_out) float32 of features (n, C_in) of float32."""
-        taken, unit = bytes_of_rows(rows)
-        return self.after_first(self.first(None, None, True)(taken, unit, rectified=True, as_bytes=True))
+        (taken, unit), first = bytes_of_rows(rows), self.first(None, None, True)
+
+        def tile(some: slice) -> torch.Tensor:
+            return self.after_first(first(taken[some], unit, rectified=True, as_bytes=True))
+
+        return one_by_one(tile, tiles(len(taken), BYTES_TILE))[: len(rows)]
 
     def after_first(self, rows: torch.Tensor) -> torch.Tensor:
         """(n, C_out) float32 of what the first layer gives (n, C_1), in bytes."""

@@ -118,15 +118,19 @@ class Mlp(nn.ModuleList):
         self._bytes = None
         return super().train(mode)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # What oneDNN has prepared cannot be copied; a copy computes with floats.
+        return {**self.__dict__, "_bytes": None}
+
     def _apply(self, fn: Any, recurse: bool = True) -> Mlp:
         self._bytes = None
         return super()._apply(fn, recurse)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        if not in_one_go(rows):
-            return over_tiles(self.forward, rows.split(TILE))
         if (layers := self.in_bytes()) is not None and takes_bytes(rows):
             return layers.of_rows(rows)
+        if not in_one_go(rows):
+            return over_tiles(self.forward, rows.split(TILE))
         return self.finish(functional.linear(rows, *self.linear_part()))
 
     def linear_part(self) -> LinearPart:

@@ -22,7 +22,7 @@ from torch.nn import functional
 
 from regnet_core.nn.int8 import ByteLayers, product_of_features, takes_bytes
 from regnet_core.nn.layers import DenseLayer, Mlp
-from regnet_core.nn.tiles import TILE, in_one_go, over_tiles
+from regnet_core.nn.tiles import BYTES_TILE, TILE, in_one_go, one_by_one, over_tiles
 from regnet_core.ops.bytes import Gathered, Own, bytes_of_sum, largest_bytes
 from regnet_core.ops.neighbourhoods import Neighbourhoods
 from regnet_core.ops.segments import rectified_segment_max, segment_max
@@ -89,9 +89,7 @@ class PooledMlp(Mlp):
             rows = bytes_of_sum(from_points, Own(own(some, near), for_own), bias=bias)
             return largest_bytes(layers.to_pool(rows), near.offsets)
 
-        if in_one_go(neighbours.indices):
-            return layers.pooled_values(tile(slice(None), neighbours))
-        return layers.pooled_values(over_tiles(lambda part: tile(*part), neighbours.tiles(TILE)))
+        return layers.pooled_values(one_by_one(lambda part: tile(*part), neighbours.tiles(BYTES_TILE)))
 
     def _maximum(self, product: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
         """The end of it, given what the first layer's linear part gives."""

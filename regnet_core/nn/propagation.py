@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from regnet_core.nn.int8 import ByteLayers, product_of_features, takes_bytes
 from regnet_core.nn.layers import Mlp
-from regnet_core.nn.tiles import in_one_go, over_tiles, tiles
+from regnet_core.nn.tiles import BYTES_TILE, in_one_go, one_by_one, over_tiles, tiles
 from regnet_core.ops.bytes import Gathered, Own, bytes_of_sum
 from regnet_core.ops.interpolation import Interpolation, interpolate
 
@@ -51,13 +51,14 @@ class FeaturePropagation(nn.Module):
         self, layers: ByteLayers, features: torch.Tensor, how: Interpolation, skip: torch.Tensor
     ) -> torch.Tensor:
         from_centroids = product_of_features(layers.first(0, self.inputs, False), features)
-        narrow = layers.first_weight[:, self.inputs :].t()
+        wide, own_weight = None, layers.first_weight[:, self.inputs :].t()
+        if takes_bytes(skip):
+            wide = product_of_features(layers.first(self.inputs, None, False), skip)
 
-        def tile(rows: slice) -> torch.Tensor:
-            carried, own, wide = Gathered(from_centroids, how.indices[rows], how.weights[rows]), skip[rows], None
-            if takes_bytes(own):
-                wide = product_of_features(layers.first(self.inputs, None, False), own)
-            columns = None if wide is not None else Own(own, narrow)
-            return layers.after_first(bytes_of_sum(carried, columns, wide, layers.first_bias))
+        def tile(some: slice) -> torch.Tensor:
+            carried = Gathered(from_centroids, how.indices[some], how.weights[some])
+            own = Own(skip[some], own_weight) if wide is None else None
+            rows = None if wide is None else wide[some]
+            return layers.after_first(bytes_of_sum(carried, own, rows, layers.first_bias))[: some.stop - some.start]
 
-        return tile(slice(None)) if in_one_go(skip) else over_tiles(tile, tiles(len(skip)))
+        return one_by_one(tile, tiles(len(skip), BYTES_TILE))

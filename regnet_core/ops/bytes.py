@@ -1,6 +1,10 @@
 """Rows of bytes for products in int8: rows made from floats, the sums that a first layer is, and maxima of bytes.
 
 A byte v stands for v / 255 of the largest value that its channel can have; what that is, nn/int8.py knows.
+
+oneDNN prepares a product anew for every number of rows that it has not seen, which takes longer than most products.
+Numbers of neighbours differ from cloud to cloud, so rows are given room for the next round number: what is in the rest
+of it means nothing.
 """
 
 from __future__ import annotations
@@ -35,13 +39,22 @@ class Own(NamedTuple):
     """(K, C) float32."""
 
 
+def room_for(rows: int) -> int:
+    """The next number that has at most four binary digits before zeros, at least 256: an eighth more at most."""
+    if rows <= 256:
+        return 256
+    shift = rows.bit_length() - 4
+    return -(-rows >> shift) << shift
+
+
 def bytes_of_sum(
     gathered: Gathered | None = None,
     own: Own | None = None,
     rows: torch.Tensor | None = None,
     bias: torch.Tensor | None = None,
 ) -> torch.Tensor:
-    """(E, C) uint8: 255 times the sum of what is given, rounded, and no less than 0 and no more than 255.
+    """255 times the sum of what is given, rounded, and no less than 0 and no more than 255: E rows (E, C), in a tensor
+    (room_for(E), C) of uint8.
 
     Args:
         gathered: E rows.
@@ -50,7 +63,7 @@ def bytes_of_sum(
         bias: (C,) float32, added to every row.
     """
     count, channels = _shape(gathered, own, rows)
-    out = torch.empty((count, channels), dtype=torch.uint8)
+    out = torch.empty((room_for(count), channels), dtype=torch.uint8)
     none, no_index = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.int64)
     values, indices, weights = (none, no_index, none) if gathered is None else map(_array, gathered)
     columns, weight = (none, none) if own is None else map(_array, own)
@@ -66,19 +79,20 @@ def bytes_of_sum(
 
 
 def bytes_of_rows(rows: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """Rows (n, C) of float32, none below 0, as bytes, and what a byte of 1 stands for."""
+    """Rows (n, C) of float32, none below 0, as bytes (room_for(n), C), and what a byte of 1 stands for."""
     largest = float(rows.amax()) if rows.numel() else 0.0
+    shape = (room_for(len(rows)), rows.shape[1])
     if not largest > 0.0:
-        return torch.zeros(rows.shape, dtype=torch.uint8), 1.0
-    out = torch.empty(rows.shape, dtype=torch.uint8)
+        return torch.zeros(shape, dtype=torch.uint8), 1.0
+    out = torch.empty(shape, dtype=torch.uint8)
     source, target, scale = _array(rows), out.numpy(), np.float32(255.0 / largest)
     for_each_range(lambda a, z: _scaled(source, scale, a, z, target), len(rows), least=512)
     return out, largest / 255.0
 
 
 def largest_bytes(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
-    """(S, C) uint8: the largest of each channel in each segment of the values (E, C), given offsets (S + 1,); 0 in
-    empty ones."""
+    """(S, C) uint8: the largest of each channel in each segment of the values (E or more, C), given offsets (S + 1,); 0
+    in empty ones."""
     top = torch.zeros((len(offsets) - 1, values.shape[1]), dtype=torch.uint8)
     source, target, bounds = values.numpy(), top.numpy(), offsets.numpy()
     for_each_range(lambda a, z: _largest(source, bounds, a, z, target), len(top), least=64)

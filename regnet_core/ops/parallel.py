@@ -67,12 +67,25 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
 
     The kernels release the GIL and write to disjoint parts of their outputs, so that the result does not depend on how
     many threads there are. Plain threads are used because numba's own thread layers may not be entered from several
-    threads at a time, which the callbacks of a ROS executor do.
+    threads at a time, which the callbacks of a ROS executor do. The caller works too: to wake a thread that sleeps
+    takes about as long as a small piece of the work.
     """
-    pieces = min(available_cores() * 4, max(1, count // least))
-    if pieces == 1 or available_cores() == 1 or getattr(_thread, "alone", False):
+    cores = available_cores()
+    pieces = min(cores * 4, max(1, count // least))
+    if pieces == 1 or cores == 1 or getattr(_thread, "alone", False):
         kernel(0, count)
         return
     bounds = [count * i // pieces for i in range(pieces + 1)]
-    for future in [_pool().submit(kernel, bounds[i], bounds[i + 1]) for i in range(pieces)]:
-        future.result()
+    left = iter(range(pieces))  # shared: each number is given out once
+
+    def work() -> None:
+        for i in left:
+            kernel(bounds[i], bounds[i + 1])
+
+    helpers = [_pool().submit(work) for _ in range(min(cores, pieces) - 1)]
+    try:
+        work()
+    finally:
+        for helper in helpers:
+            if not helper.cancel():  # one that has not begun is not needed any more
+                helper.result()
