@@ -89,6 +89,8 @@ class PooledMlp(Mlp):
             rows = bytes_of_sum(from_points, Own(own(some, near), for_own), bias=bias)
             return largest_bytes(layers.to_pool(rows), near.offsets)
 
+        if len(neighbours.offsets) == 1:  # no centres
+            return layers.last_range.new_zeros((0, len(layers.last_range)))
         return layers.pooled_values(one_by_one(lambda part: tile(*part), neighbours.tiles(BYTES_TILE)))
 
     def _maximum(self, product: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:

@@ -149,6 +149,11 @@ def test_pooled_layers_in_bytes_are_near_those_in_floats() -> None:
         expected = mlp.pooled(brought, 3, mlp.carried(3, features), near)
         mlp.use_bytes()
         found = mlp.pooled(brought, 3, mlp.carried(3, features), near)
+        nobody = Neighbourhoods(near.indices[:0], offsets[:1])
+        assert mlp.pooled(brought, 3, mlp.carried(3, features), nobody).shape == (0, 48)
+        lonely = Neighbourhoods(near.indices[:0], torch.zeros(3, dtype=torch.int64))
+        none = mlp.pooled(lambda some, part: own[:0], 3, mlp.carried(3, features), lonely)
+        assert none.tolist() == [[0.0] * 48] * 2
     assert (found[counts == 0] == 0.0).all() and (counts == 0).any()
     error = (found - expected).square().mean().sqrt() / expected.std()
     assert 0.0 < error < 0.05, error
@@ -172,6 +177,9 @@ def test_a_network_of_any_shape_runs_in_bytes() -> None:
         error = (ours.features - theirs.features).square().mean().sqrt() / theirs.features.std()
         assert 0.0 < error < 0.25, error
         assert ours.features.dtype == torch.float32 and torch.isfinite(ours.anchors.residual).all()
+        with torch.inference_mode():
+            nothing = net(clouds, eligible=torch.zeros(1500, dtype=torch.bool))
+        assert len(nothing.candidates.region) == 0 and not nothing.proposed.confidence.isfinite().any()
 
 
 @needs_products
