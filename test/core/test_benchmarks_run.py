@@ -53,7 +53,8 @@ def test_clouds_are_found_by_what_users_write() -> None:
 def test_models_are_chosen_by_name(tmp_path: Path) -> None:
     assert choose_model("regnetv2-s").weights == "trained"
     assert not choose_model("antipodal").is_network
-    assert choose_model("regnetv2", 3).weights == "random, seed 3"
+    assert choose_model("regnetv2").weights == "trained"
+    assert choose_model("regnet", 3).weights == "random, seed 3"
     assert choose_model("untrained:regnetv2-s").network == "regnetv2-s"
     assert choose_model("/somewhere/mine.safetensors").name == "mine"
     with pytest.raises(ModelError, match="no model 'nonsense'; there are regnetv2-s"):
