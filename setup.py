@@ -55,6 +55,8 @@ EXTRAS = {
         "zstandard>=0.22",
     ],
     "dev": ["colcon-common-extensions", "mypy", "pytest", "pytest-timeout", "ruff", "types-PyYAML"],
+    # Kernels for GPUs; torch for Linux brings it along. Without it networks use plain torch there.
+    "gpu": ["triton>=3"],
     # Robot arms: inverse kinematics, calibration, the simulated work cell. The robots' models come with robosuite, to
     # be installed by itself (--no-deps): it pins an old mink, and needs packages that its models do not.
     "robots": [f"{NAME}[data]", "mink>=1.3"],

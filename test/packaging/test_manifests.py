@@ -112,16 +112,18 @@ def test_core_imports_no_ros() -> None:
 def test_every_python_package_that_is_imported_is_declared() -> None:
     learning = [*sources("regnet_core/training"), ROOT / "regnet_core" / "cli" / "train.py"]
     data_only = sources("regnet_core/data", "regnet_core/evaluation", "regnet_core/picking", "regnet_core/sim")
-    robots = sources("regnet_core/robots")
-    always = [path for path in sources("regnet_core", "regnet_ros") if path not in data_only + robots + learning]
+    robots, gpu = sources("regnet_core/robots"), sources("regnet_core/ops/gpu")
+    some = data_only + robots + learning + gpu
+    always = [path for path in sources("regnet_core", "regnet_ros") if path not in some]
     data = requirements(None) | requirements("data")
     train, arms = requirements("train"), requirements("robots")
-    everything = data | requirements("dev") | requirements("cluster") | arms
+    everything = data | requirements("dev") | requirements("cluster") | requirements("gpu") | arms
     assert "regnet-ros" in train & arms  # with the extra data, which both need as well
     for files, declared, packages in (
         (always, requirements(None), ros_dependencies()),
         ([path for path in data_only if path not in learning], data | requirements("cluster"), set()),
         (robots, data | arms, set()),
+        (gpu, requirements(None) | requirements("gpu"), set()),
         (learning, data | train, set()),
         (sources("benchmarks", "tools", "test"), everything | train, ros_dependencies("test_depend")),
     ):
