@@ -34,8 +34,12 @@ demo: setup
 
 test:
 	@tools/setup.sh --complete
+ifeq ($(strip $(ARGS)),)
+	@$(PY) tools/run_tests.py
+else
 	@$(MAKE) --no-print-directory lint-only
 	$(PY) -m pytest $(ARGS)
+endif
 
 lint: setup lint-only
 
