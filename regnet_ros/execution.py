@@ -40,6 +40,7 @@ class Execution:
         self,
         node: Node,
         group: CallbackGroup,
+        permitted: Callable[[], bool],
         choose: Callable[[Candidates, frozenset[int]], SelectedGrasp | None],
         settled: Callable[[str], None],
         given_up: Callable[[str], None],
@@ -49,6 +50,7 @@ class Execution:
         Args:
             node: the node that the client belongs to.
             group: callback group of the client.
+            permitted: whether the robot may be moved now; whoever makes it false calls ``stop`` afterwards.
             choose: selects (and announces) a grasp, the ranks in the set left out; None when none is left.
             settled: called with a sentence when a grasp was executed.
             given_up: called with a sentence when no grasp of an array could be executed.
@@ -56,7 +58,7 @@ class Execution:
         self._logger = node.get_logger()
         self._name = node.resolve_service_name(ACTION)
         self._client = ActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
-        self._choose, self._settled, self._given_up = choose, settled, given_up
+        self._permitted, self._choose, self._settled, self._given_up = permitted, choose, settled, given_up
         self._lock = threading.RLock()
         self._run = 0
         """Number of the execution under way; answers that belong to an earlier one are ignored."""
@@ -95,8 +97,13 @@ class Execution:
                 self._give_up(f"the action server {self._name} was started again during the execution")
 
     def start(self, candidates: Candidates, first: SelectedGrasp, attempts: int) -> None:
-        """Send ``first``; when it is rejected or fails, the next choice, over at most ``attempts`` grasps."""
+        """Send ``first``; when it is rejected or fails, the next choice, over at most ``attempts`` grasps.
+
+        Nothing is sent where that is not permitted any more: ``stop`` was called, or will be, by another thread.
+        """
         with self._lock:
+            if not self._permitted():
+                return
             self._run += 1
             self._candidates, self._failed, self._allowed = candidates, [], attempts
             if not self._client.server_is_ready():

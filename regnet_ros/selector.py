@@ -45,7 +45,9 @@ class Selector(GraspNode[SelectorParameters]):
         self._pose = self.add_publisher(PoseStamped, "selected_pose")
         self._marker = self.add_publisher(MarkerArray, "selected_marker")
         self.add_service(SelectGrasp, "select_grasp", self._on_select)
-        self._execution = Execution(self, self.service_group, self._choose_again, self._executed, self.fail)
+        self._execution = Execution(
+            self, self.service_group, self._may_execute, self._choose_again, self._executed, self.fail
+        )
         self.at_cleanup(self._release)
         source = self.add_input(GraspArray, "grasps", "reliable")
         self.health.awaits = lambda: f"grasps on {source.description}"
@@ -106,6 +108,9 @@ class Selector(GraspNode[SelectorParameters]):
         if selected is not None:
             self._announce(selected)
         return selected
+
+    def _may_execute(self) -> bool:
+        return self.active and self.settings.execute
 
     def _executed(self, message: str) -> None:
         self.get_logger().info(message)

@@ -21,6 +21,8 @@ from regnet_msgs.msg import GraspArray, SelectedGrasp
 from regnet_msgs.srv import SelectGrasp
 from visualization_msgs.msg import Marker, MarkerArray
 
+from regnet_ros.conversions import grasps_from_messages
+from regnet_ros.execution import Candidates, Execution
 from regnet_ros.settings import SelectorParameters
 
 CHANGED = ("policy", "midpoint", "reach_min", "reach_max", "approach_max_angle", "max_attempts", "execute")
@@ -288,6 +290,25 @@ def test_switching_off_cancels_and_nothing_new_starts_before(selector: Selector,
     assert executing.goals == [1]
     selector.change(execute=False)
     assert executing.cancelled.wait(20)
+
+
+@pytest.mark.parametrize("permitted", [True, False])
+def test_an_execution_that_was_stopped_before_it_began_never_begins(
+    selector: Selector, executor: Executor, permitted: bool
+) -> None:
+    """The selection had been made when the parameter was changed."""
+    executor.set_plan({7: "wait"})
+    said: list[str] = []
+    execution = Execution(
+        selector.peer.node, ReentrantCallbackGroup(), lambda: permitted, lambda *_: None, said.append, said.append
+    )
+    wait_for(execution._client.server_is_ready, "the action server")
+    execution.start(Candidates(array(), grasps_from_messages(array().grasps)), SelectedGrasp(rank=7), 3)
+    assert execution.under_way == permitted
+    if permitted:
+        wait_for(lambda: executor.goals == [7], "the goal")
+    execution.destroy()
+    assert not said
 
 
 def test_deactivation_cancels_and_silences(selector: Selector, executing: Executor) -> None:
