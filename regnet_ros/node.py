@@ -159,8 +159,9 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     def repeat(self, item: Any) -> None:
         """Work on an item again, unless a newer one waits."""
-        if self._active and self._mailbox.put_if_empty(item):
-            self._wake.trigger()
+        if self._active:
+            self._mailbox.put_if_empty(item)
+            self._wake.trigger()  # in any case: where an item waits and nobody works, nobody else would begin
 
     def fail(self, message: str) -> None:
         """Report something that could not be worked on: in the log and in the diagnostics, at once."""
@@ -294,6 +295,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work (rclpy's hook)."""
         result = super().on_activate(state)
+        self._mailbox.take()  # what a callback that was under way put in after the deactivation
         self._active = result == _SUCCESS
         self.get_logger().info(f"active, waiting for {self.health.awaits()}")
         return result
