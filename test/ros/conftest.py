@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import pytest
 
@@ -21,3 +21,13 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
         created = System(domain, tmp_path_factory.mktemp("logs"))
         yield created
         created.close()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What the node processes wrote, beside the failure of a test that talked to them."""
+    report = yield
+    system = getattr(item, "funcargs", {}).get("system")
+    if report.failed and isinstance(system, System):
+        report.sections += [(f"output of {name}", text) for name, text in system.outputs().items()]
+    return report

@@ -23,6 +23,7 @@ from rcl_interfaces.msg import ParameterValue, SetParametersResult
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -30,6 +31,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE = 30.0
 """No single thing that the tests wait for takes so long [s], even on a busy machine with nothing compiled yet."""
 _DOMAINS = range(1, 100)
+_TAIL = 4000
+"""So many characters of a process's output are shown where a test fails."""
 
 
 class TimeExpiredError(AssertionError):
@@ -190,17 +193,37 @@ class Peer:
         return {info.qos_profile.reliability for info in self.node.get_subscriptions_info_by_topic(topic)}
 
     def call(self, kind: type, name: str, request: Any, timeout: float = DEADLINE) -> Any:
-        """The response of a service."""
+        """The response of a service of one of our nodes."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
-        client = self._clients[name]
-        wait_for(client.service_is_ready, f"the service {name}", timeout)
-        done = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: done.set())
-        if not done.wait(timeout):
+            wait_for(self._clients[name].service_is_ready, f"the service {name}", timeout)
+            self.introduce(wait_for(lambda: self._server_of(name), f"the node that offers {name}", timeout))
+        response = _response(self._clients[name], request, timeout)
+        if response is None:
             raise TimeExpiredError(f"the service {name} did not answer within {timeout:g} s")
-        return future.result()
+        return response
+
+    def introduce(self, node: str) -> None:
+        """Wait until a node knows all clients and subscriptions that were made here before.
+
+        It learns about them a moment later than this process about the node, and what it answers in between is lost.
+        As it learns about them in order, it knows them all when an answer arrives at one that is newer.
+        """
+        client = self.node.create_client(GetState, f"/{node.strip('/')}/get_state")
+        try:
+            wait_for(lambda: client.service_is_ready() and _response(client, GetState.Request(), 1.0), f"node {node}")
+        finally:
+            self.node.destroy_client(client)
+
+    def _server_of(self, service: str) -> str | None:
+        """The node that offers a service, as far as it is known yet."""
+        wanted = self.node.resolve_service_name(service)
+        for name, namespace in self.node.get_node_names_and_namespaces():
+            with contextlib.suppress(NodeNameNonExistentError):  # it has just gone
+                offered = self.node.get_service_names_and_types_by_node(name, namespace)
+                if name != self.node.get_name() and any(wanted == offer for offer, _ in offered):
+                    return f"{namespace}/{name}"
+        return None
 
     def get_parameter(self, node: str, name: str) -> Any:
         response = self.call(GetParameters, f"/{node}/get_parameters", GetParameters.Request(names=[name]))
@@ -264,6 +287,10 @@ class System:
             raise TimeExpiredError(f"{error}\n{process.output}") from error
         return process
 
+    def outputs(self) -> dict[str, str]:
+        """The end of what each process wrote until now, by its number and program."""
+        return {f"{i} {p.program}": p.output[-_TAIL:] for i, p in enumerate(self._processes)}
+
     def close(self) -> None:
         for process in self._processes:
             process.kill()
@@ -284,6 +311,14 @@ def ros_arguments(remap: Mapping[str, str], parameters: Mapping[str, Any]) -> li
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
     """The key-value pairs of a status."""
     return {pair.key: pair.value for pair in status.values}
+
+
+def _response(client: Any, request: Any, timeout: float) -> Any:
+    """What a service answers; None where it does not within the time [s]."""
+    done = threading.Event()
+    future = client.call_async(request)
+    future.add_done_callback(lambda _: done.set())
+    return future.result() if done.wait(timeout) else None
 
 
 def _parameter(name: str, value: Any) -> Any:
