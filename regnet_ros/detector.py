@@ -7,7 +7,9 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
+from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseArray
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from regnet_msgs.msg import GraspArray
 from regnet_msgs.srv import DetectGrasps
 from sensor_msgs.msg import PointCloud2
@@ -20,12 +22,17 @@ from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.report import DetectionReport
 from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from_message, pose_array
+from regnet_ros.inputs import NEXT_CLOUD
 from regnet_ros.node import GraspNode, publish_if_heard
+from regnet_ros.pace import Usual
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import use_threads
 from regnet_ros.visuals import grasp_markers
 from regnet_ros.warm_up import made_up_cloud
+
+_EARLY = 0.75
+"""Where a detection takes less than this share of the usual time, another cloud is asked for at its end."""
 
 
 class _Again(NamedTuple):
@@ -44,6 +51,7 @@ class Detector(GraspNode[DetectorParameters]):
         self._warm: set[tuple[str, str]] = set()
         self._in_use = ("", "")
         self._last_cloud: PointCloud2 | None = None
+        self._usual = Usual()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
 
@@ -57,6 +65,7 @@ class Detector(GraspNode[DetectorParameters]):
         self._grasps = self.add_publisher(GraspArray, "grasps")
         self._poses = self.add_publisher(PoseArray, "grasp_poses")
         self._markers = self.add_publisher(MarkerArray, "grasp_markers")
+        self._requests = self.add_publisher(Duration, NEXT_CLOUD)
         self.add_service(DetectGrasps, "detect_grasps", self._on_detect)
         source = self.add_input(PointCloud2, "cloud", settings.input_reliability)
         self.health.awaits = lambda: f"clouds on {source.description}"
@@ -76,11 +85,33 @@ class Detector(GraspNode[DetectorParameters]):
         if self.settings.redetect_on_change and self._last_cloud is not None and not self.settings.same_result(old):
             self.repeat(_Again(self._last_cloud))
 
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work, and ask for a cloud (rclpy's hook)."""
+        result = super().on_activate(state)
+        self._ask(0.0)
+        return result
+
     def work(self, item: PointCloud2 | _Again) -> None:
         """Find grasps in one cloud; whatever the cloud is like, one GraspArray is published."""
         cloud = item.cloud if isinstance(item, _Again) else item
         self._last_cloud = cloud
-        settings, start = self.settings, time.perf_counter()
+        start, expected = time.perf_counter(), self._usual.seconds
+        if expected is not None:
+            self._ask(expected)
+        try:
+            self._answer(cloud, self.settings, start)
+        finally:
+            seconds = time.perf_counter() - start
+            self._usual.add(seconds)
+            if expected is None or seconds < _EARLY * expected:
+                self._ask(0.0, seconds)
+
+    def _ask(self, seconds: float, since_start: float = 0.0) -> None:
+        """Ask for another cloud in so many seconds, or when the parameters allow the next work."""
+        left = max(seconds, self.settings.least_period - since_start, 0.0)
+        self._requests.publish(Duration(sec=int(left), nanosec=int(1e9 * (left % 1.0))))
+
+    def _answer(self, cloud: PointCloud2, settings: DetectorParameters, start: float) -> None:
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
         except InvalidInputError as error:

@@ -19,6 +19,9 @@ OUTPUT_QOS = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The last result also reaches those who subscribe later."""
 
+NEXT_CLOUD = "next_cloud"
+"""Topic on which a detector says in how long it will have time for another cloud."""
+
 
 def reliabilities() -> Sequence[str]:
     """The values of the parameter ``input_reliability``."""

@@ -115,6 +115,10 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def settings_changed(self, old: Table) -> None:
         """React to a change of parameters that is already in force."""
 
+    def pause(self) -> float:
+        """For how long the next work should wait [s], apart from ``least_period``; asked until it is 0 or less."""
+        return 0.0
+
     def deactivated(self) -> None:
         """Stop what is under way; called on the deactivate and shutdown transitions."""
 
@@ -240,9 +244,9 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
                 self.crash(error, "while working on an input")
 
     def _wait_for_turn(self) -> bool:
-        """Wait for as long as the parameters ask between two works; whether the node is still active then."""
+        """Wait for as long as the parameters and ``pause`` ask; whether the node is still active then."""
         while self._active and self.context.ok():
-            left = self._last_start + self.settings.least_period - time.monotonic()
+            left = max(self._last_start + self.settings.least_period - time.monotonic(), self.pause())
             if left <= 0.0:
                 return True
             time.sleep(min(left, _NAP))

@@ -6,6 +6,7 @@ import sys
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Duration
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
@@ -13,8 +14,9 @@ from visualization_msgs.msg import Marker
 from regnet_core.preprocessing import preprocess
 from regnet_ros.conversions import cloud_from_message, cloud_to_message
 from regnet_ros.frames import SensorFrames
-from regnet_ros.inputs import LATCHED_QOS
+from regnet_ros.inputs import LATCHED_QOS, NEXT_CLOUD, OUTPUT_QOS
 from regnet_ros.node import GraspNode
+from regnet_ros.pace import Pace
 from regnet_ros.process import run
 from regnet_ros.settings import PreprocessorParameters
 from regnet_ros.visuals import plane_marker
@@ -34,6 +36,11 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def configure(self) -> None:
         """Create the topics."""
+        self._pace, self._asking = Pace(), self.resolve_topic_name(NEXT_CLOUD)
+        requests = self.create_subscription(
+            Duration, NEXT_CLOUD, self._on_request, OUTPUT_QOS, callback_group=self.input_group
+        )
+        self.at_cleanup(lambda: self.destroy_subscription(requests))
         self._frames = SensorFrames(self)
         self.at_cleanup(self._frames.close)
         self._cloud = self.add_publisher(PointCloud2, "cloud")
@@ -41,9 +48,18 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         source = self.add_input(PointCloud2, "points", self.settings.input_reliability)
         self.health.awaits = lambda: f"clouds on {source.description}"
 
+    def pause(self) -> float:
+        """Let the next cloud, the newest by then, be ready when a detector asks for it."""
+        if not self.settings.keep_pace or self.count_publishers(self._asking) == 0:
+            return 0.0
+        return self._pace.pause(time.monotonic())
+
+    def _on_request(self, message: Duration) -> None:
+        self._pace.wanted(time.monotonic() + message.sec + 1e-9 * message.nanosec)
+
     def work(self, item: PointCloud2) -> None:
         """Prepare one cloud."""
-        settings, start = self.settings, time.perf_counter()
+        settings, start, begun = self.settings, time.perf_counter(), time.monotonic()
         decoded = cloud_from_message(item)
         T_target_cloud = self._frames.pose(
             item.header, settings.target_frame, settings.sensor_pose, settings.transform_patience
@@ -54,6 +70,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         prepared = time.perf_counter()
         header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
         self._cloud.publish(cloud_to_message(header, result.points, result.colors))
+        self._pace.sent(begun, time.monotonic())
         self._plane.publish(plane_marker(header, result.plane, result.points))
         end = time.perf_counter()
         unstamped = item.header.stamp.sec == 0 and item.header.stamp.nanosec == 0

@@ -243,7 +243,12 @@ class Peer:
         return self.call(SetParametersAtomically, f"/{node}/set_parameters_atomically", request).result
 
     def state(self, node: str) -> str:
-        return str(self.call(GetState, f"/{node}/get_state", GetState.Request()).current_state.label)
+        """The lifecycle state, asked for until there is an answer: a node that was just started may lose the first."""
+        name = f"/{node}/get_state"
+        client = self._clients.get(name) or self.node.create_client(GetState, name)
+        self._clients[name] = client
+        answer = wait_for(lambda: client.service_is_ready() and _response(client, GetState.Request(), 1.0), name)
+        return str(answer.current_state.label)
 
     def change_state(self, node: str, transition: int) -> bool:
         request = ChangeState.Request(transition=Transition(id=transition))
@@ -283,6 +288,7 @@ class System:
         process = self.start(program, "--ros-args", *ros_arguments(remap or {}, parameters))
         try:
             self.peer.wait_for_state(program, "active")
+            self.peer.introduce(program)  # clients that were made for one that has gone
         except TimeExpiredError as error:
             raise TimeExpiredError(f"{error}\n{process.output}") from error
         return process

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration
 from clouds import SCENE, TABLE, XYZ, cloud, field
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
@@ -24,7 +25,7 @@ from regnet_core.geometry import pose_matrix, transform_points
 from regnet_ros.conversions import cloud_from_message
 from regnet_ros.settings import PreprocessorParameters
 
-CHANGED = ("target_frame", "crop_min", "crop_max", "voxel_size", "max_points", "seed", "max_rate")
+CHANGED = ("target_frame", "crop_min", "crop_max", "voxel_size", "max_points", "seed", "max_rate", "keep_pace")
 
 
 class Preprocessor:
@@ -185,6 +186,30 @@ def test_no_more_clouds_than_asked_for_and_always_the_newest(preprocessor: Prepr
         publisher.publish(message)
     assert preprocessor.clouds.wait(lambda m: m.header == sent[-1].header, what="the newest cloud")
     assert len(preprocessor.clouds.all()) <= 2
+
+
+def test_with_a_detector_a_cloud_is_prepared_when_it_asks_and_always_the_newest(preprocessor: Preprocessor) -> None:
+    peer = preprocessor.peer
+    clouds, requests = peer.publisher(PointCloud2, "points"), peer.publisher(Duration, "next_cloud")
+    requests.publish(Duration())
+    preprocessor.prepared()
+    requests.publish(Duration(sec=1000))  # not soon: what comes now waits
+    peer.introduce("preprocessor")
+    for number in range(3):
+        clouds.publish(cloud(SCENE, stamp=6000 + number))
+    with pytest.raises(TimeExpiredError):
+        preprocessor.clouds.wait(lambda m: m.header.stamp.sec >= 6000, timeout=0.5)
+    requests.publish(Duration(nanosec=1))
+    assert preprocessor.clouds.wait(lambda m: m.header.stamp.sec >= 6000).header.stamp.sec == 6002
+    requests.publish(Duration(sec=1000))
+    preprocessor.change(keep_pace=False)
+    assert len(preprocessor.prepared()) == len(SCENE)
+    preprocessor.change(keep_pace=True)
+    requests.publish(Duration(sec=1000))
+    peer.introduce("preprocessor")
+    preprocessor.send()
+    peer.forget_publisher("next_cloud", reliable=True)  # the detector has gone
+    assert preprocessor.clouds.wait().width == len(SCENE)
 
 
 def test_best_effort_for_as_long_as_there_is_a_best_effort_publisher(preprocessor: Preprocessor) -> None:

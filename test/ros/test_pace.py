@@ -1,0 +1,47 @@
+"""When the next message is begun: at the time asked for, less what its preparation usually takes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from regnet_ros.pace import Pace, Usual
+
+
+def test_the_usual_time_is_the_median_of_the_last_five() -> None:
+    usual = Usual()
+    assert usual.seconds is None
+    for seconds in (9.0, 1.0, 2.0, 3.0, 4.0):
+        usual.add(seconds)
+    assert usual.seconds == 3.0
+    for seconds in (1.0, 1.0, 1.0):
+        usual.add(seconds)
+    assert usual.seconds == 1.0
+
+
+def test_the_first_one_does_not_wait_and_a_lost_one_is_waited_for_two_seconds() -> None:
+    pace = Pace()
+    assert pace.pause(100.0) == -math.inf
+    pace.sent(100.0, 100.5)
+    assert pace.pause(101.0) == pytest.approx(1.5)
+    assert pace.pause(102.5) == pytest.approx(0.0)
+
+
+def test_preparation_ends_when_the_message_is_wanted() -> None:
+    pace = Pace()
+    pace.sent(0.0, 0.25)
+    pace.wanted(10.0)
+    assert pace.pause(9.0) == pytest.approx(0.75)
+    assert pace.pause(9.75) == pytest.approx(0.0)
+    pace.wanted(11.0)  # somebody slower
+    assert pace.pause(9.75) == pytest.approx(0.0)
+    pace.wanted(9.0)  # who has finished early
+    assert pace.pause(8.0) == pytest.approx(0.75)
+
+
+def test_a_request_is_for_one_message() -> None:
+    pace = Pace()
+    pace.wanted(1.0)
+    pace.sent(0.9, 1.0)
+    assert pace.pause(1.0) == pytest.approx(2.0)
