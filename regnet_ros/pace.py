@@ -11,7 +11,7 @@ from collections import deque
 from statistics import median
 
 _PATIENCE = 2.0
-"""A message that was sent and not followed by a request was lost; the next one is prepared after this time [s]."""
+"""A message that no request followed was lost; so long after its beginning the next one is begun [s]."""
 _RECENT = 5
 
 
@@ -37,24 +37,28 @@ class Pace:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._takes = Usual()
-        self._sent = -math.inf
+        self._begun = -math.inf
         self._due: float | None = None
-        """When the next message is wanted; None where nobody asked since the last one was sent."""
+        """When the next message is wanted; None where nobody asked since the last one was begun."""
 
     def wanted(self, due: float) -> None:
         """Whoever works on the messages asked for one at this time; of several, the first one is served."""
         with self._lock:
             self._due = due if self._due is None else min(due, self._due)
 
-    def sent(self, begun: float, now: float) -> None:
-        """A message was sent whose preparation had begun at that time."""
+    def begun(self, now: float) -> None:
+        """A message is begun. What is asked for from now on, even before it is sent, is the next one."""
         with self._lock:
-            self._takes.add(now - begun)
-            self._sent, self._due = now, None
+            self._begun, self._due = now, None
+
+    def sent(self, now: float) -> None:
+        """The message that was begun last is sent."""
+        with self._lock:
+            self._takes.add(now - self._begun)
 
     def pause(self, now: float) -> float:
         """How long to wait before the next one is begun; 0 or less: now is the time."""
         with self._lock:
             if self._due is None:
-                return self._sent + _PATIENCE - now
+                return self._begun + _PATIENCE - now
             return self._due - (self._takes.seconds or 0.0) - now

@@ -59,7 +59,8 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def work(self, item: PointCloud2) -> None:
         """Prepare one cloud."""
-        settings, start, begun = self.settings, time.perf_counter(), time.monotonic()
+        settings, start = self.settings, time.perf_counter()
+        self._pace.begun(time.monotonic())
         decoded = cloud_from_message(item)
         T_target_cloud = self._frames.pose(
             item.header, settings.target_frame, settings.sensor_pose, settings.transform_patience
@@ -70,7 +71,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         prepared = time.perf_counter()
         header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
         self._cloud.publish(cloud_to_message(header, result.points, result.colors))
-        self._pace.sent(begun, time.monotonic())
+        self._pace.sent(time.monotonic())
         self._plane.publish(plane_marker(header, result.plane, result.points))
         end = time.perf_counter()
         unstamped = item.header.stamp.sec == 0 and item.header.stamp.nanosec == 0

@@ -23,14 +23,16 @@ def test_the_usual_time_is_the_median_of_the_last_five() -> None:
 def test_the_first_one_does_not_wait_and_a_lost_one_is_waited_for_two_seconds() -> None:
     pace = Pace()
     assert pace.pause(100.0) == -math.inf
-    pace.sent(100.0, 100.5)
-    assert pace.pause(101.0) == pytest.approx(1.5)
-    assert pace.pause(102.5) == pytest.approx(0.0)
+    pace.begun(100.0)
+    pace.sent(100.5)
+    assert pace.pause(101.0) == pytest.approx(1.0)
+    assert pace.pause(102.0) == pytest.approx(0.0)
 
 
 def test_preparation_ends_when_the_message_is_wanted() -> None:
     pace = Pace()
-    pace.sent(0.0, 0.25)
+    pace.begun(0.0)
+    pace.sent(0.25)
     pace.wanted(10.0)
     assert pace.pause(9.0) == pytest.approx(0.75)
     assert pace.pause(9.75) == pytest.approx(0.0)
@@ -43,5 +45,14 @@ def test_preparation_ends_when_the_message_is_wanted() -> None:
 def test_a_request_is_for_one_message() -> None:
     pace = Pace()
     pace.wanted(1.0)
-    pace.sent(0.9, 1.0)
-    assert pace.pause(1.0) == pytest.approx(2.0)
+    pace.begun(0.9)
+    pace.sent(1.0)
+    assert pace.pause(1.0) == pytest.approx(1.9)
+
+
+def test_a_request_that_arrives_before_the_message_is_known_to_be_sent_is_for_the_next_one() -> None:
+    pace = Pace()
+    pace.begun(1.0)
+    pace.wanted(1.6)
+    pace.sent(1.1)
+    assert pace.pause(1.2) == pytest.approx(0.3)

@@ -191,6 +191,7 @@ def test_no_more_clouds_than_asked_for_and_always_the_newest(preprocessor: Prepr
 def test_with_a_detector_a_cloud_is_prepared_when_it_asks_and_always_the_newest(preprocessor: Preprocessor) -> None:
     peer = preprocessor.peer
     clouds, requests = peer.publisher(PointCloud2, "points"), peer.publisher(Duration, "next_cloud")
+    preprocessor.change(keep_pace=True)
     requests.publish(Duration())
     preprocessor.prepared()
     requests.publish(Duration(sec=1000))  # not soon: what comes now waits
