@@ -1,6 +1,6 @@
 """Keeping pace: a node that prepares messages begins when whoever works on them is about to have time for one.
 
-Otherwise a fast camera has two cores prepare clouds that a slower detector never looks at, and takes them from it.
+Otherwise a camera that is faster than the detector keeps a core busy with clouds that no detection ever sees.
 """
 
 from __future__ import annotations
@@ -55,6 +55,10 @@ class Pace:
         """The message that was begun last is sent."""
         with self._lock:
             self._takes.add(now - self._begun)
+
+    def failed(self) -> None:
+        """Nothing comes of the message that was begun last: another one is wanted in its place."""
+        self.wanted(self._begun)
 
     def pause(self, now: float) -> float:
         """How long to wait before the next one is begun; 0 or less: now is the time."""

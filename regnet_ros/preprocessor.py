@@ -59,8 +59,15 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def work(self, item: PointCloud2) -> None:
         """Prepare one cloud."""
-        settings, start = self.settings, time.perf_counter()
         self._pace.begun(time.monotonic())
+        try:
+            self._prepare(item, self.settings)
+        except Exception:
+            self._pace.failed()  # nobody will ask again
+            raise
+
+    def _prepare(self, item: PointCloud2, settings: PreprocessorParameters) -> None:
+        start = time.perf_counter()
         decoded = cloud_from_message(item)
         T_target_cloud = self._frames.pose(
             item.header, settings.target_frame, settings.sensor_pose, settings.transform_patience

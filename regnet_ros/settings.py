@@ -105,8 +105,9 @@ class PreprocessorParameters(SensorParameters):
     )
     keep_pace: bool = parameter(
         False,
-        "Whether a cloud, the newest, is prepared only when a detector that listens is about to have time for it: half "
-        "the computing time with a fast camera, and a tenth fewer arrays a second. Without a detector as many as come.",
+        "Whether a cloud, the newest, is prepared only when a detector is about to have time for it: with a camera "
+        "faster than the detector that saves computing time, and costs some grasp arrays a second. Without a detector "
+        "as many as come.",
     )
     voxel_size: float = parameter(
         0.0, "Edge length of the voxels that keep one point each [m]; 0 keeps all points.", limits=(0.0, 0.5)

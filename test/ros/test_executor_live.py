@@ -131,7 +131,10 @@ def test_a_grasp_from_before_the_objects_were_moved_is_out_of_date(robot: Robot)
 
 
 def publish_until(publisher: Any, array: GraspArray, process: NodeProcess, text: str) -> None:
-    """Publish an array, and again where the selector could do nothing with it: it had not found the robot yet."""
+    """Publish an array, and again where the selector could do nothing with it.
+
+    It may not have found the robot yet, or wait for one that has gone.
+    """
 
     def said() -> bool:
         publisher.publish(array)

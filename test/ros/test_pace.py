@@ -50,6 +50,14 @@ def test_a_request_is_for_one_message() -> None:
     assert pace.pause(1.0) == pytest.approx(1.9)
 
 
+def test_what_came_to_nothing_leaves_its_request_open() -> None:
+    pace = Pace()
+    pace.wanted(1.0)
+    pace.begun(0.9)
+    pace.failed()
+    assert pace.pause(1.0) <= 0.0
+
+
 def test_a_request_that_arrives_before_the_message_is_known_to_be_sent_is_for_the_next_one() -> None:
     pace = Pace()
     pace.begun(1.0)

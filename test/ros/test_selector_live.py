@@ -306,8 +306,11 @@ def test_an_execution_that_was_stopped_before_it_began_never_begins(
     execution.start(Candidates(array(), grasps_from_messages(array().grasps)), SelectedGrasp(rank=7), 3)
     assert execution.under_way == permitted
     if permitted:
-        wait_for(lambda: executor.goals == [7], "the goal")
+        wait_for(lambda: execution._goal is not None, "the goal's answer")
+        execution.stop()
+        assert executor.cancelled.wait(20)
     execution.destroy()
+    assert executor.goals == ([7] if permitted else [])
     assert not said
 
 
