@@ -1,5 +1,5 @@
-"""What the machine can do at best: matrix products in fp32, bf16 and int8, and memory traffic; by torch, as the network
-does.
+"""What the machine can do at best: matrix products in fp32 and bf16, and memory traffic, by torch; products of bytes by
+ours, as the network does.
 
 A peak is the best of many short trials: it is the measure that stages are held against, and must not depend on what
 else the machine does meanwhile. Whatever the processor lacks units for is measured just the same.
@@ -14,10 +14,14 @@ from dataclasses import dataclass
 import torch
 
 from benchmarks.machine import last_level_cache
-from regnet_core.nn.int8 import Packed, has_byte_products
+from regnet_core.nn.int8 import rounded
+from regnet_core.ops.byte_products import has_byte_products
+from regnet_core.ops.bytes import Layers, floats_of_rows
 
 _SIDE = 2048
 """Of the square matrices: large enough that starting and packing do not count, small enough for a trial to be short."""
+_LAYERS = 4
+"""Of bytes: only what the last one gives is written to memory."""
 _LEAST_ARRAY, _MOST_ARRAY = 64 << 20, 512 << 20
 _TRIAL = 0.1
 """Products are repeated for so long [s]."""
@@ -36,7 +40,7 @@ class PeakSample:
     triad: float
     """That of a = b + s c [bytes/s], as STREAM counts it."""
     int8: float
-    """Matrix product of bytes [operations/s], 2 for each multiply-add; 0 where this torch has none."""
+    """Matrix product of bytes [operations/s], 2 for each multiply-add; 0 where the processor has none."""
 
 
 class PeakMeter:
@@ -51,8 +55,8 @@ class PeakMeter:
         generator = torch.Generator().manual_seed(0)
         self._matrices = [torch.rand(side, side, generator=generator) - 0.5 for _ in range(3)]
         self._half = [matrix.bfloat16() for matrix in self._matrices]
-        self._bytes = (self._matrices[1] + 0.5).mul(255.0).to(torch.uint8)
-        self._layer = Packed.of(self._matrices[2], None) if has_byte_products() else None
+        self._rows = self._matrices[1] + 0.5
+        self._layer = Layers.of([rounded(self._matrices[2])] * _LAYERS, to_floats=True) if has_byte_products() else None
         self._arrays = [torch.ones(size // 4) for _ in range(3)]
 
     @torch.inference_mode()
@@ -73,10 +77,10 @@ class PeakMeter:
         return float(2 * len(out) ** 3 / _fastest(lambda: torch.mm(left, right, out=out)))
 
     def _byte_product(self) -> float:
-        rows, layer = self._bytes, self._layer
+        rows, layer = self._rows, self._layer
         if layer is None:
             return 0.0
-        return float(2 * len(rows) ** 3 / _fastest(lambda: layer(rows, 1 / 255, rectified=True, as_bytes=True)))
+        return 2 * _LAYERS * len(rows) ** 3 / _fastest(lambda: floats_of_rows(rows, layer, len(rows), rectified=True))
 
 
 def _fastest(work: Callable[[], object]) -> float:

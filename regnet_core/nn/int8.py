@@ -4,7 +4,7 @@ Between layers, rows hold a byte for each channel, 0 to 255 for 0 to the channel
 is below 0. A channel's range follows from its batch normalisation, which gives numbers around ``beta`` with the
 standard deviation ``gamma``: beta + 8 |gamma|. Ranges are folded into the weights on both sides (cross-layer
 equalisation, Nagel et al., "Data-Free Quantization", 2019), so that a byte of 255 is 1 in every channel and no data are
-needed. Weights are bytes with a scale for each output; sums are exact, in 32 bits.
+needed. Weights are bytes with a scale for each output; sums are exact, in 32 bits (ops/bytes.py).
 
 What a network takes in (positions, widths, shapes) stays float: the sum that a first layer makes of it becomes bytes in
 one pass. So do the last numbers of a head.
@@ -14,14 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
 
-from regnet_core.nn.tiles import BYTES_TILE, one_by_one, tiles
-from regnet_core.ops.bytes import bytes_of_rows
+from regnet_core.ops.bytes import (
+    Layers,
+    Linear,
+    Sum,
+    bytes_of_sum,
+    floats_of_rows,
+    floats_of_sum,
+    largest_bytes,
+)
 
 if TYPE_CHECKING:
     from regnet_core.nn.layers import DenseLayer
@@ -30,40 +36,8 @@ _DEVIATIONS = 8.0
 """How many standard deviations above the mean still fit."""
 _LEAST_RANGE = 1e-3
 """Of a channel, as a share of the largest range of its layer: what never is above 0 must not be divided by 0."""
-_ROWS = 4096
-"""Of the tiles that weights are put in order for; others work."""
 _FEATURES = 32
 """Rows with so many channels are features, which are not below 0; fewer are what a network takes in."""
-
-
-class Packed(NamedTuple):
-    """A linear layer."""
-
-    weight: torch.Tensor
-    """Bytes, in oneDNN's order."""
-    scale: torch.Tensor
-    """(C_out,): what a byte of 1 stands for."""
-    zero: torch.Tensor
-    """(C_out,) int32 zeros."""
-    bias: torch.Tensor | None
-    """(C_out,)."""
-
-    @classmethod
-    def of(cls, weight: torch.Tensor, bias: torch.Tensor | None) -> Packed:
-        """Of a weight (C_out, C_in) and a bias (C_out,) or none."""
-        scale = weight.abs().amax(dim=1).clamp(min=1e-12) / 127.0
-        rounded = (weight / scale[:, None]).round().to(torch.int8)
-        packed = torch.ops.onednn.qlinear_prepack(rounded, [_ROWS, rounded.shape[1]])
-        return cls(packed, scale.float(), torch.zeros(len(scale), dtype=torch.int32), bias)
-
-    def __call__(self, rows: torch.Tensor, unit: float, *, rectified: bool, as_bytes: bool) -> torch.Tensor:
-        """The product with rows (n, C_in) of bytes, of which 1 stands for ``unit``: float32, or bytes for 0 to 1."""
-        product: torch.Tensor = torch.ops.onednn.qlinear_pointwise(
-            rows, unit, 0, self.weight, self.scale, self.zero, self.bias,
-            1.0 / 255.0 if as_bytes else 1.0, 0, torch.uint8 if as_bytes else torch.float32,
-            "relu" if rectified else "none", [], "",
-        )  # fmt: skip
-        return product
 
 
 def takes_bytes(rows: torch.Tensor) -> bool:
@@ -71,10 +45,12 @@ def takes_bytes(rows: torch.Tensor) -> bool:
     return rows.shape[1] >= _FEATURES
 
 
-def product_of_features(packed: Packed, features: torch.Tensor) -> torch.Tensor:
-    """The linear layer's product with features (n, C_in) of float32 -> (n, C_out) float32."""
-    rows, unit = bytes_of_rows(features)
-    return packed(rows, unit, rectified=False, as_bytes=False)[: len(features)]
+def rounded(weight: torch.Tensor, bias: torch.Tensor | None = None) -> Linear:
+    """A linear layer of a weight (C_out, C_in) and a bias (C_out,) or none, with weights of -127 to 127."""
+    scale = weight.abs().amax(dim=1).clamp(min=1e-12) / 127.0
+    whole = (weight / scale[:, None]).round().to(torch.int8)
+    added = torch.zeros_like(scale) if bias is None else bias
+    return Linear(whole.numpy(), scale.float().numpy(), added.float().numpy())
 
 
 @dataclass
@@ -86,64 +62,65 @@ class ByteLayers:
     first_bias: torch.Tensor
     """(C_1,)."""
     first_range: torch.Tensor
-    """(C_1,)."""
-    rest: tuple[Packed, ...]
-    """The other layers; the last one gives numbers from 0 to 1 where ``pooled``, else what they are."""
+    """(C_1,): what 1 stands for in the first layer's numbers."""
     last_range: torch.Tensor
-    """(C_out,): what 1 stands for in the last layer's numbers."""
-    pooled: bool
+    """(C_out,): what 1 stands for in the last layer's numbers, where these are pooled or there is one layer."""
+    after_first: Layers
+    """The other layers; the last one gives bytes where ``pooled``, else what its numbers are."""
+    all: Layers
+    """All of them, for rows."""
 
     def __post_init__(self) -> None:
-        self._parts: dict[tuple[int | None, int | None, bool], Packed] = {}
+        self._parts: dict[tuple[int | None, int | None, bool], Layers] = {}
 
     @classmethod
     def of(cls, layers: Sequence[DenseLayer], pooled: bool) -> ByteLayers:
-        """Of layers in evaluation."""
+        """Of layers in evaluation, of which the last one's numbers are ``pooled`` before all else, or not."""
         with torch.no_grad():
             ranges = [_range_of(layer.norm) for layer in layers]
             parts = [_folded(layer) for layer in layers]
-            rest = []
-            for i in range(1, len(layers)):
-                weight, bias = parts[i]
-                own = ranges[i] if pooled or i < len(layers) - 1 else torch.ones_like(ranges[i])
-                rest.append(Packed.of(weight * ranges[i - 1] / own[:, None], bias / own))
-            weight, bias = parts[0]
-            first = ranges[0]
-        return cls(weight / first[:, None], bias / first, first, tuple(rest), ranges[-1], pooled)
+            made = []
+            for i, (weight, bias) in enumerate(parts):
+                own = ranges[i] if i == 0 or pooled or i < len(layers) - 1 else torch.ones_like(ranges[i])
+                given = weight if i == 0 else weight * ranges[i - 1]
+                made.append((given / own[:, None], bias / own))
+            linear = [rounded(weight, bias) for weight, bias in made]
+        return cls(
+            *made[0],
+            ranges[0],
+            ranges[-1],
+            Layers.of(linear[1:], to_floats=not pooled),
+            Layers.of(linear, to_floats=True),
+        )
 
-    def first(self, start: int | None, stop: int | None, with_bias: bool) -> Packed:
-        """The first layer for the input's channels ``start`` to ``stop``."""
+    def carried(self, features: torch.Tensor, start: int | None, stop: int | None, *, with_bias: bool) -> torch.Tensor:
+        """The first layer's part for the input's channels ``start`` to ``stop``, applied to these (n, stop - start) ->
+        (n, C_1) float32."""
         key = (start, stop, with_bias)
         if key not in self._parts:
-            self._parts[key] = Packed.of(self.first_weight[:, start:stop], self.first_bias if with_bias else None)
-        return self._parts[key]
+            part = rounded(self.first_weight[:, start:stop], self.first_bias if with_bias else None)
+            self._parts[key] = Layers.of([part], to_floats=True)
+        return floats_of_rows(features, self._parts[key], len(self.first_bias), rectified=False)
 
     def of_rows(self, rows: torch.Tensor) -> torch.Tensor:
         """(n, C_out) float32 of features (n, C_in) of float32."""
-        (taken, unit), first = bytes_of_rows(rows), self.first(None, None, True)
+        found = floats_of_rows(rows, self.all, len(self.last_range), rectified=True)
+        return found * self.first_range if self._is_one else found
 
-        def tile(some: slice) -> torch.Tensor:
-            return self.after_first(first(taken[some], unit, rectified=True, as_bytes=True))
+    def of_sum(self, product: Sum) -> torch.Tensor:
+        """(n, C_out) float32 of what the first layer comes to before its rectifier."""
+        if self._is_one:
+            return bytes_of_sum(product) * (self.first_range / 255.0)
+        return floats_of_sum(product, self.after_first, len(self.last_range))
 
-        return one_by_one(tile, tiles(len(taken), BYTES_TILE))[: len(rows)]
+    def pooled(self, product: Sum, offsets: torch.Tensor) -> torch.Tensor:
+        """(S, C_out) float32: the maximum in each segment (S + 1,) of what the first layer comes to before its
+        rectifier, after all layers; 0 in empty ones."""
+        return largest_bytes(product, self.after_first, len(self.last_range), offsets) * (self.last_range / 255.0)
 
-    def after_first(self, rows: torch.Tensor) -> torch.Tensor:
-        """(n, C_out) float32 of what the first layer gives (n, C_1), in bytes."""
-        for packed in self.rest[:-1]:
-            rows = packed(rows, 1.0 / 255.0, rectified=True, as_bytes=True)
-        if not self.rest:
-            return rows * (self.first_range / 255.0)
-        return self.rest[-1](rows, 1.0 / 255.0, rectified=True, as_bytes=False)
-
-    def to_pool(self, rows: torch.Tensor) -> torch.Tensor:
-        """(n, C_out) in bytes of what the first layer gives (n, C_1), in bytes."""
-        for packed in self.rest:
-            rows = packed(rows, 1.0 / 255.0, rectified=True, as_bytes=True)
-        return rows
-
-    def pooled_values(self, rows: torch.Tensor) -> torch.Tensor:
-        """(n, C_out) float32 of bytes that ``to_pool`` gave."""
-        return rows * (self.last_range / 255.0)
+    @property
+    def _is_one(self) -> bool:
+        return len(self.after_first.places) == 0
 
 
 def _folded(layer: DenseLayer) -> tuple[torch.Tensor, torch.Tensor]:
@@ -156,17 +133,3 @@ def _range_of(norm: nn.BatchNorm1d) -> torch.Tensor:
     """(C,): the largest number that a channel can have after the rectifier, or nearly so."""
     largest = norm.bias + _DEVIATIONS * norm.weight.abs()
     return largest.clamp(min=max(_LEAST_RANGE * float(largest.max()), 1e-6)).float()
-
-
-@cache
-def has_byte_products() -> bool:
-    """Whether this torch multiplies bytes as these layers need it; found out by trying."""
-    try:
-        generator = torch.Generator().manual_seed(0)
-        weight = torch.randn(32, 48, generator=generator)
-        rows = torch.randint(0, 256, (40, 48), generator=generator, dtype=torch.uint8)
-        expected = torch.relu(rows.float() / 255.0 @ weight.t() + 0.5)
-        found = Packed.of(weight, torch.full((32,), 0.5))(rows, 1.0 / 255.0, rectified=True, as_bytes=False)
-    except (AttributeError, RuntimeError, NotImplementedError):
-        return False
-    return bool((found - expected).abs().max() < 0.02 * expected.max())

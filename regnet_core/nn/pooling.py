@@ -20,10 +20,10 @@ from itertools import pairwise
 import torch
 from torch.nn import functional
 
-from regnet_core.nn.int8 import ByteLayers, product_of_features, takes_bytes
+from regnet_core.nn.int8 import takes_bytes
 from regnet_core.nn.layers import DenseLayer, Mlp
-from regnet_core.nn.tiles import BYTES_TILE, TILE, in_one_go, one_by_one, over_tiles
-from regnet_core.ops.bytes import Gathered, Own, bytes_of_sum, largest_bytes
+from regnet_core.nn.tiles import TILE, in_one_go, over_tiles
+from regnet_core.ops.bytes import Gathered, Own, Sum
 from regnet_core.ops.neighbourhoods import Neighbourhoods
 from regnet_core.ops.segments import rectified_segment_max, segment_max
 
@@ -40,7 +40,7 @@ class PooledMlp(Mlp):
         """What the points' features (N, C_in - K) come to in the first layer (N, C_1), for ``pooled``."""
         if (layers := self.in_bytes()) is not None:
             if takes_bytes(features):
-                return product_of_features(layers.first(own_channels, None, True), features)
+                return layers.carried(features, own_channels, None, with_bias=True)
             return functional.linear(features, layers.first_weight[:, own_channels:], layers.first_bias)
         weight, bias = self.linear_part()
         return functional.linear(features, weight[:, own_channels:], bias)
@@ -58,7 +58,10 @@ class PooledMlp(Mlp):
             (centres, C_out).
         """
         if (layers := self.in_bytes()) is not None:
-            return self._pooled_bytes(layers, own, own_channels, carried, neighbours)
+            from_points = None if carried is None else Gathered(carried, neighbours.indices[:, None])
+            brought = Own(own(slice(None), neighbours), layers.first_weight[:, :own_channels].t())
+            added = layers.first_bias if carried is None else None
+            return layers.pooled(Sum(from_points, brought, bias=added), neighbours.offsets)
         weight, bias = self.linear_part()
         for_own = weight[:, :own_channels]
 
@@ -73,25 +76,6 @@ class PooledMlp(Mlp):
         if in_one_go(neighbours.indices):
             return tile(slice(None), neighbours)
         return over_tiles(lambda part: tile(*part), neighbours.tiles(TILE))
-
-    def _pooled_bytes(
-        self,
-        layers: ByteLayers,
-        own: OwnFeatures,
-        own_channels: int,
-        carried: torch.Tensor | None,
-        neighbours: Neighbourhoods,
-    ) -> torch.Tensor:
-        for_own, bias = layers.first_weight[:, :own_channels].t(), layers.first_bias if carried is None else None
-
-        def tile(some: slice, near: Neighbourhoods) -> torch.Tensor:
-            from_points = None if carried is None else Gathered(carried, near.indices[:, None])
-            rows = bytes_of_sum(from_points, Own(own(some, near), for_own), bias=bias)
-            return largest_bytes(layers.to_pool(rows), near.offsets)
-
-        if len(neighbours.offsets) == 1:  # no centres
-            return layers.last_range.new_zeros((0, len(layers.last_range)))
-        return layers.pooled_values(one_by_one(lambda part: tile(*part), neighbours.tiles(BYTES_TILE)))
 
     def _maximum(self, product: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
         """The end of it, given what the first layer's linear part gives."""

@@ -9,7 +9,7 @@ from typing import Literal
 
 import torch
 
-from regnet_core.nn.int8 import has_byte_products
+from regnet_core.ops.byte_products import has_byte_products
 
 Precision = Literal["fp32", "bf16", "int8"]
 

@@ -12,10 +12,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from regnet_core.nn.int8 import ByteLayers, product_of_features, takes_bytes
+from regnet_core.nn.int8 import ByteLayers, takes_bytes
 from regnet_core.nn.layers import Mlp
-from regnet_core.nn.tiles import BYTES_TILE, in_one_go, one_by_one, over_tiles, tiles
-from regnet_core.ops.bytes import Gathered, Own, bytes_of_sum
+from regnet_core.nn.tiles import in_one_go, over_tiles, tiles
+from regnet_core.ops.bytes import Gathered, Own, Sum
 from regnet_core.ops.interpolation import Interpolation, interpolate
 
 
@@ -50,15 +50,8 @@ class FeaturePropagation(nn.Module):
     def _in_bytes(
         self, layers: ByteLayers, features: torch.Tensor, how: Interpolation, skip: torch.Tensor
     ) -> torch.Tensor:
-        from_centroids = product_of_features(layers.first(0, self.inputs, False), features)
-        wide, own_weight = None, layers.first_weight[:, self.inputs :].t()
+        from_centroids = layers.carried(features, 0, self.inputs, with_bias=False)
+        carried, bias = Gathered(from_centroids, how.indices, how.weights), layers.first_bias
         if takes_bytes(skip):
-            wide = product_of_features(layers.first(self.inputs, None, False), skip)
-
-        def tile(some: slice) -> torch.Tensor:
-            carried = Gathered(from_centroids, how.indices[some], how.weights[some])
-            own = Own(skip[some], own_weight) if wide is None else None
-            rows = None if wide is None else wide[some]
-            return layers.after_first(bytes_of_sum(carried, own, rows, layers.first_bias))[: some.stop - some.start]
-
-        return one_by_one(tile, tiles(len(skip), BYTES_TILE))
+            return layers.of_sum(Sum(carried, rows=layers.carried(skip, self.inputs, None, with_bias=False), bias=bias))
+        return layers.of_sum(Sum(carried, Own(skip, layers.first_weight[:, self.inputs :].t()), bias=bias))

@@ -19,9 +19,6 @@ from regnet_core.ops.parallel import forget_at_fork, on_one_core
 
 TILE = 4096
 """Rows of a tile: few enough for the cache, enough for the products to be as fast as they get."""
-BYTES_TILE = 1 << 17
-"""Rows of bytes of a tile. All cores work at each product of a tile: they are so short that threads with a tile each
-would mostly wait for Python's lock, and the larger the tile, the fewer of them there are."""
 Part = TypeVar("Part")
 
 
@@ -47,12 +44,6 @@ def over_tiles(work: Callable[[Part], torch.Tensor], parts: Iterable[Part]) -> t
             return work(part)
 
     return torch.cat(list(_pool(cores).map(run, parts)))
-
-
-def one_by_one(work: Callable[[Part], torch.Tensor], parts: Iterable[Part]) -> torch.Tensor:
-    """``torch.cat([work(part) for part in parts])``, without copying where there is one part only."""
-    results = [work(part) for part in parts]
-    return results[0] if len(results) == 1 else torch.cat(results)
 
 
 class _Mode(NamedTuple):

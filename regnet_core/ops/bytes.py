@@ -1,22 +1,25 @@
-"""Rows of bytes for products in int8: rows made from floats, the sums that a first layer is, and maxima of bytes.
+"""Rows of bytes through linear layers, for nn/int8.py: a byte of 255 is 1, and what is below 0 becomes 0.
 
-A byte v stands for v / 255 of the largest value that its channel can have; what that is, nn/int8.py knows.
-
-oneDNN prepares a product anew for every number of rows that it has not seen, which takes longer than most products.
-Numbers of neighbours differ from cloud to cloud, so rows are given room for the next round number: what is in the rest
-of it means nothing.
+A tile of rows goes through all layers in one go: what it becomes on its way stays in the core's fastest cache, and
+Python is asked once for all tiles, not once for each layer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.byte_products import COLUMNS, ROWS, packed, products_to_bytes, products_to_floats, sum_to_bytes
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
+
+_TILE = 96
+"""Rows of a tile; full blocks of products."""
+_LOWEST = np.float32(-np.finfo(np.float32).max)
 
 
 class Gathered(NamedTuple):
@@ -39,158 +42,272 @@ class Own(NamedTuple):
     """(K, C) float32."""
 
 
-def room_for(rows: int) -> int:
-    """The next number that has at most four binary digits before zeros, at least 256: an eighth more at most."""
-    if rows <= 256:
-        return 256
-    shift = rows.bit_length() - 4
-    return -(-rows >> shift) << shift
+class Sum(NamedTuple):
+    """Rows (E, C) that are the sum of what is given, at least one of the first three."""
+
+    gathered: Gathered | None = None
+    """E rows."""
+    own: Own | None = None
+    """E rows."""
+    rows: torch.Tensor | None = None
+    """(E, C) float32."""
+    bias: torch.Tensor | None = None
+    """(C,) float32, added to every row."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """E and C."""
+        if self.gathered is not None:
+            return len(self.gathered.indices), self.gathered.values.shape[1]
+        if self.own is not None:
+            return len(self.own.columns), self.own.weight.shape[1]
+        assert self.rows is not None  # something has rows
+        return self.rows.shape[0], self.rows.shape[1]
 
 
-def bytes_of_sum(
-    gathered: Gathered | None = None,
-    own: Own | None = None,
-    rows: torch.Tensor | None = None,
-    bias: torch.Tensor | None = None,
-) -> torch.Tensor:
-    """255 times the sum of what is given, rounded, and no less than 0 and no more than 255: E rows (E, C), in a tensor
-    (room_for(E), C) of uint8.
+class Linear(NamedTuple):
+    """A layer: rows @ weight^T * scale + bias."""
+
+    weight: npt.NDArray[np.int8]
+    """(C_out, C_in)."""
+    scale: npt.NDArray[np.float32]
+    """(C_out,): what a byte of 1 of the weights stands for."""
+    bias: npt.NDArray[np.float32]
+    """(C_out,)."""
+
+
+class Layers(NamedTuple):
+    """Layers one after the other, with a rectifier and bytes between them, in the order that products read them."""
+
+    weights: npt.NDArray[np.int8]
+    """Of all layers."""
+    scales: npt.NDArray[np.float32]
+    """Of all layers' blocks of columns, for bytes that go in and bytes that come out, or floats after the last."""
+    biases: npt.NDArray[np.float32]
+    """The same."""
+    places: npt.NDArray[np.int64]
+    """(L, 4): fours of inputs, blocks of columns, and where the layer's weights and columns begin."""
+
+    @classmethod
+    def of(cls, layers: Sequence[Linear], *, to_floats: bool) -> Layers:
+        """Of any number of layers. The last one gives bytes, or what it comes to in float32."""
+        weights, scales, biases, places = [np.zeros(0, np.int8)], [], [], []
+        at, column = 0, 0
+        for number, layer in enumerate(layers):
+            outputs, inputs = layer.weight.shape
+            fours, blocks = -(-inputs // 4), -(-outputs // COLUMNS)
+            room = blocks * COLUMNS - outputs
+            floats = to_floats and number == len(layers) - 1
+            unit, half = (1.0, 0.0) if floats else (255.0, 0.5)
+            weights.append(packed(layer.weight))
+            scales.append(np.pad(layer.scale * (unit / 255.0), (0, room)))
+            biases.append(np.pad(layer.bias * unit, (0, room)) + half)
+            places.append((fours, blocks, at, column))
+            at, column = at + len(weights[-1]), column + blocks * COLUMNS
+        return cls(
+            np.concatenate(weights),
+            np.concatenate([np.zeros(0), *scales]).astype(np.float32),
+            np.concatenate([np.zeros(0), *biases]).astype(np.float32),
+            np.array(places, np.int64).reshape(-1, 4),
+        )
+
+    def for_unit(self, unit: float) -> Layers:
+        """The same for rows of which a byte of 1 stands for ``unit`` rather than 1 / 255."""
+        scales, first = self.scales.copy(), self.places[0, 1] * COLUMNS
+        scales[:first] *= np.float32(unit * 255.0)
+        return self._replace(scales=scales)
+
+
+class _Source(NamedTuple):
+    """A sum as arrays with full blocks of columns; of what is not given there is nothing, or one zero row for all."""
+
+    start: npt.NDArray[np.float32]
+    bias: npt.NDArray[np.float32]
+    indices: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float32]
+    shares: npt.NDArray[np.float32]
+    columns: npt.NDArray[np.float32]
+    weight: npt.NDArray[np.float32]
+
+    @classmethod
+    def of(cls, given: Sum) -> _Source:
+        count, channels = given.shape
+        zeros = np.zeros((1, -(-channels // COLUMNS) * COLUMNS), np.float32)
+        indices, values, shares = np.zeros((count, 0), np.int64), zeros, np.ones((1, 1), np.float32)
+        if given.gathered is not None:
+            indices, values = _array(given.gathered.indices), _blocks(given.gathered.values)
+            shares = shares if given.gathered.weights is None else _array(given.gathered.weights)
+        columns, weight = np.zeros((count, 0), np.float32), zeros
+        if given.own is not None:
+            columns, weight = _array(given.own.columns), _blocks(given.own.weight)
+        start = zeros if given.rows is None else _blocks(given.rows)
+        bias = zeros if given.bias is None else _blocks(given.bias[None])
+        return cls(start, bias, indices, values, shares, columns, weight)
+
+
+def largest_bytes(given: Sum, layers: Layers, outputs: int, offsets: torch.Tensor) -> torch.Tensor:
+    """The largest of each channel in each segment of what the layers make of a sum -> (S, outputs) uint8, 255 for 1.
 
     Args:
-        gathered: E rows.
-        own: E rows.
-        rows: (E, C) float32.
-        bias: (C,) float32, added to every row.
+        given: E rows.
+        layers: any number, that give bytes.
+        outputs: channels of the last one; those of the sum without layers.
+        offsets: (S + 1,) int64, from 0 to E. Empty segments have 0.
     """
-    count, channels = _shape(gathered, own, rows)
-    out = torch.empty((room_for(count), channels), dtype=torch.uint8)
-    none, no_index = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.int64)
-    values, indices, weights = (none, no_index, none) if gathered is None else map(_array, gathered)
-    columns, weight = (none, none) if own is None else map(_array, own)
-    direct = none if rows is None else _array(rows)
-    added = np.zeros(channels, np.float32) if bias is None else _array(bias)
-    target = out.numpy()
-
-    def run(start: int, stop: int) -> None:
-        _sum(values, indices, weights, columns, weight, direct, added, start, stop, target)
-
-    for_each_range(run, count, least=512)
-    return out
-
-
-def bytes_of_rows(rows: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """Rows (n, C) of float32, none below 0, as bytes (room_for(n), C), and what a byte of 1 stands for."""
-    largest = float(rows.amax()) if rows.numel() else 0.0
-    shape = (room_for(len(rows)), rows.shape[1])
-    if not largest > 0.0:
-        return torch.zeros(shape, dtype=torch.uint8), 1.0
-    out = torch.empty(shape, dtype=torch.uint8)
-    source, target, scale = _array(rows), out.numpy(), np.float32(255.0 / largest)
-    for_each_range(lambda a, z: _scaled(source, scale, a, z, target), len(rows), least=512)
-    return out, largest / 255.0
-
-
-def largest_bytes(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
-    """(S, C) uint8: the largest of each channel in each segment of the values (E or more, C), given offsets (S + 1,); 0
-    in empty ones."""
-    top = torch.zeros((len(offsets) - 1, values.shape[1]), dtype=torch.uint8)
-    source, target, bounds = values.numpy(), top.numpy(), offsets.numpy()
-    for_each_range(lambda a, z: _largest(source, bounds, a, z, target), len(top), least=64)
+    source, bounds = _Source.of(given), offsets.numpy()
+    top = torch.zeros((len(bounds) - 1, outputs), dtype=torch.uint8)
+    target, width = top.numpy(), _width(given.shape[1], layers)
+    for_each_range(lambda a, z: _largest(source, layers, width, bounds, a, z, target), len(target), least=16)
     return top
 
 
-def _shape(gathered: Gathered | None, own: Own | None, rows: torch.Tensor | None) -> tuple[int, int]:
-    if gathered is not None:
-        return len(gathered.indices), gathered.values.shape[1]
-    if own is not None:
-        return len(own.columns), own.weight.shape[1]
-    assert rows is not None  # something has rows
-    return rows.shape[0], rows.shape[1]
+def floats_of_sum(given: Sum, layers: Layers, outputs: int) -> torch.Tensor:
+    """What the layers, at least one, make of a sum of E rows -> (E, outputs) float32, none below 0."""
+    source, (count, channels) = _Source.of(given), given.shape
+    out, width = _floats(count, layers), _width(channels, layers)
+    for_each_range(lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), least=1)
+    return torch.from_numpy(out)[:count, :outputs]
 
 
-def _array(values: torch.Tensor | None) -> npt.NDArray[Any]:
-    return np.zeros((0, 0), np.float32) if values is None else values.detach().contiguous().numpy()
+def bytes_of_sum(given: Sum) -> torch.Tensor:
+    """255 times a sum of E rows, rounded, and no less than 0 and no more than 255 -> (E, C) uint8."""
+    source, (count, channels) = _Source.of(given), given.shape
+    out = np.empty((-(-count // ROWS) * ROWS, len(source.bias[0])), np.uint8)
+
+    def run(start: int, stop: int) -> None:
+        _sum(source, start * ROWS, min(stop * ROWS, count), out[start * ROWS :])
+
+    for_each_range(run, len(out) // ROWS, least=64)
+    return torch.from_numpy(out)[:count, :channels]
 
 
-@inlined
-def _byte(value):  # type: ignore[no-untyped-def]
-    scaled = value * np.float32(255.0) + np.float32(0.5)
-    scaled = scaled if scaled > np.float32(0.0) else np.float32(0.0)
-    scaled = scaled if scaled < np.float32(255.0) else np.float32(255.0)
-    return np.uint8(np.int32(scaled))  # processors convert to 32 bits, many numbers at a time
+def floats_of_rows(rows: torch.Tensor, layers: Layers, outputs: int, *, rectified: bool) -> torch.Tensor:
+    """What the layers, at least one, make of rows (E, C) float32, none of which is below 0 -> (E, outputs) float32."""
+    source, count = _array(rows), len(rows)
+    largest = float(rows.amax()) if rows.numel() else 0.0
+    if not largest > 0.0:
+        largest = 1.0
+    layers, scale = layers.for_unit(largest / 255.0), np.float32(255.0 / largest)
+    out, width = _floats(count, layers), _width(rows.shape[1], layers)
+    least = np.float32(0.0) if rectified else _LOWEST
+    for_each_range(lambda a, z: _floats_of_rows(source, scale, layers, width, least, a, z, out), _tiles(count), least=1)
+    return torch.from_numpy(out)[:count, :outputs]
 
 
-@compiled
-def _sum(values, indices, weights, columns, weight, rows, bias, begin, end, out):  # type: ignore[no-untyped-def]
-    """Each row in as few passes as can be: what is written down between two of them costs as much as the sums."""
-    channels, gathers, own = out.shape[1], indices.shape[1], columns.shape[1]
-    weighted, direct = len(weights) > 0, len(rows) > 0
-    one, none = np.float32(1.0), np.float32(0.0)
-    total = np.empty(channels, np.float32)
-    for e in range(begin, end):
-        start = rows[e] if direct else bias
-        add = one if direct else none
-        if gathers == 1:
-            row = values[indices[e, 0]]
-            share = weights[e, 0] if weighted else one
-            for c in range(channels):
-                total[c] = start[c] + add * bias[c] + share * row[c]
-        elif gathers == 3:
-            first, second, third = values[indices[e, 0]], values[indices[e, 1]], values[indices[e, 2]]
-            a = weights[e, 0] if weighted else one
-            b = weights[e, 1] if weighted else one
-            d = weights[e, 2] if weighted else one
-            for c in range(channels):
-                total[c] = start[c] + add * bias[c] + a * first[c] + b * second[c] + d * third[c]
-        else:
-            for c in range(channels):
-                total[c] = start[c] + add * bias[c]
-            for j in range(gathers):
-                row = values[indices[e, j]]
-                share = weights[e, j] if weighted else one
-                for c in range(channels):
-                    total[c] += share * row[c]
-        k = 0
-        while k + 4 < own:
-            p, q, r, s = columns[e, k], columns[e, k + 1], columns[e, k + 2], columns[e, k + 3]
-            for c in range(channels):
-                total[c] += p * weight[k, c] + q * weight[k + 1, c] + r * weight[k + 2, c] + s * weight[k + 3, c]
-            k += 4
-        if own - k == 4:
-            p, q, r, s = columns[e, k], columns[e, k + 1], columns[e, k + 2], columns[e, k + 3]
-            for c in range(channels):
-                out[e, c] = _byte(
-                    total[c] + p * weight[k, c] + q * weight[k + 1, c] + r * weight[k + 2, c] + s * weight[k + 3, c]
-                )
-        elif own - k == 3:
-            p, q, r = columns[e, k], columns[e, k + 1], columns[e, k + 2]
-            for c in range(channels):
-                out[e, c] = _byte(total[c] + p * weight[k, c] + q * weight[k + 1, c] + r * weight[k + 2, c])
-        elif own - k == 2:
-            p, q = columns[e, k], columns[e, k + 1]
-            for c in range(channels):
-                out[e, c] = _byte(total[c] + p * weight[k, c] + q * weight[k + 1, c])
-        elif own - k == 1:
-            p = columns[e, k]
-            for c in range(channels):
-                out[e, c] = _byte(total[c] + p * weight[k, c])
-        else:
-            for c in range(channels):
-                out[e, c] = _byte(total[c])
+def _width(channels: int, layers: Layers) -> int:
+    """Bytes of a row's room for what goes in and comes out of each layer."""
+    return COLUMNS * max(-(-channels // COLUMNS), int(layers.places[:, 1].max(initial=0)))
+
+
+def _tiles(count: int) -> int:
+    return -(-count // _TILE)
+
+
+def _floats(count: int, layers: Layers) -> npt.NDArray[np.float32]:
+    """Room for what the last layer gives: full blocks."""
+    return np.empty((-(-count // ROWS) * ROWS, int(layers.places[-1, 1]) * COLUMNS), np.float32)
+
+
+def _array(values: torch.Tensor) -> npt.NDArray[Any]:
+    return values.detach().contiguous().numpy()
+
+
+def _blocks(values: torch.Tensor) -> npt.NDArray[np.float32]:
+    """Rows of full blocks of columns."""
+    missing = -values.shape[1] % COLUMNS
+    return _array(torch.nn.functional.pad(values, (0, missing)) if missing else values)
 
 
 @compiled
-def _scaled(rows, scale, begin, end, out):  # type: ignore[no-untyped-def]
-    half, top = np.float32(0.5), np.float32(255.0)
-    for e in range(begin, end):
-        for c in range(rows.shape[1]):
-            scaled = rows[e, c] * scale + half
-            out[e, c] = np.uint8(np.int32(scaled if scaled < top else top))
+def _largest(source, layers, width, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+    one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
+    segment, stop = begin, offsets[end]
+    for first in range(offsets[begin], stop, _TILE):
+        last = min(first + _TILE, stop)
+        _sum(source, first, last, one)
+        made = _through(layers, len(layers.places), last - first, one, other)
+        for e in range(last - first):
+            while offsets[segment + 1] <= first + e:
+                segment += 1
+            largest, row = top[segment], made[e]
+            for c in range(len(largest)):
+                largest[c] = max(largest[c], row[c])
 
 
 @compiled
-def _largest(values, offsets, begin, end, top):  # type: ignore[no-untyped-def]
-    for s in range(begin, end):
-        for e in range(offsets[s], offsets[s + 1]):
-            for c in range(values.shape[1]):
-                top[s, c] = max(top[s, c], values[e, c])
+def _floats_of_sum(source, layers, width, count, begin, end, out):  # type: ignore[no-untyped-def]
+    one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
+    for tile in range(begin, end):
+        first = tile * _TILE
+        last = min(first + _TILE, count)
+        _sum(source, first, last, one)
+        made = _through(layers, len(layers.places) - 1, last - first, one, other)
+        _end(layers, last - first, made, np.float32(0.0), out[first:])
+
+
+@compiled
+def _floats_of_rows(rows, scale, layers, width, least, begin, end, out):  # type: ignore[no-untyped-def]
+    one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
+    half, most = np.float32(0.5), np.float32(255.0)
+    for tile in range(begin, end):
+        first = tile * _TILE
+        last = min(first + _TILE, len(rows))
+        for e in range(last - first):
+            row, taken = rows[first + e], one[e]
+            for c in range(len(row)):
+                scaled = row[c] * scale + half
+                taken[c] = np.uint8(np.int32(scaled if scaled < most else most))
+        made = _through(layers, len(layers.places) - 1, last - first, one, other)
+        _end(layers, last - first, made, least, out[first:])
+
+
+@compiled
+def _through(layers, count, rows, given, room):  # type: ignore[no-untyped-def]
+    """What the first layers make of rows in ``given``: in that array or in ``room``, which has as much of it."""
+    stride = given.shape[1]
+    for number in range(count):
+        fours, blocks, at, column = layers.places[number]
+        for part in range(blocks):
+            weight = layers.weights.ctypes.data + at + part * fours * 4 * COLUMNS
+            first = 4 * (column + part * COLUMNS)
+            scale, bias = layers.scales.ctypes.data + first, layers.biases.ctypes.data + first
+            for row in range(0, rows, ROWS):
+                source = given.ctypes.data + row * stride
+                target = room.ctypes.data + row * stride + part * COLUMNS
+                products_to_bytes(source, stride, weight, fours, scale, bias, np.float32(0.0), target, stride)
+        given, room = room, given
+    return given
+
+
+@compiled
+def _end(layers, rows, given, least, out):  # type: ignore[no-untyped-def]
+    """What the last layer makes of rows in ``given``, into the first rows of ``out``."""
+    fours, blocks, at, column = layers.places[-1]
+    stride, out_stride = given.shape[1], 4 * out.shape[1]
+    for part in range(blocks):
+        weight = layers.weights.ctypes.data + at + part * fours * 4 * COLUMNS
+        first = 4 * (column + part * COLUMNS)
+        scale, bias = layers.scales.ctypes.data + first, layers.biases.ctypes.data + first
+        for row in range(0, rows, ROWS):
+            source = given.ctypes.data + row * stride
+            target = out.ctypes.data + row * out_stride + 4 * part * COLUMNS
+            products_to_floats(source, stride, weight, fours, scale, bias, least, target, out_stride)
+
+
+@compiled
+def _sum(source, begin, end, out):  # type: ignore[no-untyped-def]
+    """Rows of a sum into the first rows of ``out``, which has room for full blocks."""
+    start, bias, indices, values, shares, columns, weight = source
+    start_stride = 0 if len(start) == 1 else 4 * start.shape[1]
+    share_stride = 0 if shares.size == 1 else 4
+    for row in range(begin, end, ROWS):
+        target = out.ctypes.data + (row - begin) * out.shape[1]
+        for first in range(0, bias.shape[1], COLUMNS):
+            sum_to_bytes(  # type: ignore[call-arg]
+                row, end, 4 * first,
+                start.ctypes.data, start_stride, bias.ctypes.data,
+                indices.shape[1], indices.ctypes.data, values.ctypes.data, 4 * values.shape[1],
+                shares.ctypes.data, share_stride,
+                columns.shape[1], columns.ctypes.data, weight.ctypes.data, 4 * weight.shape[1],
+                target + first, out.shape[1],
+            )  # fmt: skip

@@ -14,7 +14,7 @@ from live import REPOSITORY
 from regnet_core import Grasps, models
 from regnet_core.models import DEFAULT_MODEL
 from regnet_core.nn import precision
-from regnet_core.nn.int8 import has_byte_products
+from regnet_core.ops.byte_products import has_byte_products
 
 MODELS = sorted({model for model, _ in FILES})
 
