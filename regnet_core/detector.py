@@ -117,8 +117,9 @@ class GraspDetector:
         recorder = StepRecorder()
         scene = prepare_scene(cloud, rgb, self.config.scene, rng, recorder, camera)
         grasps = Grasps.empty()
-        if scene.objects.observed.sum() >= _MIN_POINTS:
+        if len(scene.seen) >= _MIN_POINTS:
             grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
+        scene.completed()  # it may have warnings
         report = recorder.finish(self.model, self.device)
         if len(grasps) == 0:
             why = explain(report.steps, scene, hand, _MIN_POINTS, limits.target is not None)
@@ -144,7 +145,7 @@ class GraspDetector:
             ("workspace", lambda g: filters.workspace_ok(g, gripper)),
             ("collision with table", lambda g: ~collision.with_table(g, gripper)),
             ("collision with cloud", lambda g: ~collision.with_points(g, gripper)),
-            ("target region", lambda g: _on_target(g, gripper, collision, scene, filters.target, focus)),
+            ("target region", lambda g: _on_target(g, gripper, collision, scene, focus)),
         ]
         for name, accepts in checks:
             with recorder.step(name) as step:
@@ -167,11 +168,11 @@ def _check_target(target: Box | Mask | None, count: int) -> None:
         )
 
 
-def _focus(scene: Scene, target: Box | Mask | None) -> Mask:
-    """(S,): the points of the objects' surface that belong to the target region."""
-    surface = scene.objects
+def _focus(scene: Scene, target: Box | Mask | None) -> Mask | None:
+    """(S,): the points of the objects' surface that belong to the target region, if there is one."""
     if target is None:
-        return np.ones(len(surface.points), bool)
+        return None
+    surface = scene.objects
     if isinstance(target, Box):
         return target.contains(surface.points)
     seen = surface.observed
@@ -188,11 +189,10 @@ def _on_target(
     gripper: Gripper,
     collision: SceneCollision,
     scene: Scene,
-    target: Box | Mask | None,
-    focus: Mask,
+    focus: Mask | None,
 ) -> Mask:
     """(M,): more than half of the points between the fingers are on target."""
-    if target is None:
+    if focus is None:
         return np.ones(len(grasps), bool)
     counts = collision.occupancy(grasps, gripper, marked=np.concatenate([focus, np.zeros(len(scene.structure), bool)]))
     return counts.marked * 2 > counts.closing

@@ -27,13 +27,13 @@ class Proposer(Protocol):
     name: str
     """The model name that ``GraspDetector`` reports."""
 
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """Propose grasps of ``scene.objects`` for this gripper.
 
         Args:
             scene: the prepared cloud.
             gripper: the hand.
-            focus: (S,) the points of ``scene.objects`` that the user wants grasped.
+            focus: (S,) the points of ``scene.objects`` that the user wants grasped; None: all of them.
             rng: source of randomness.
         """
         ...

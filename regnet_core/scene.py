@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from regnet_core.clusters import beyond, cluster, structure
 from regnet_core.completion import SolidModel, fill_columns, hidden_surface
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
+from regnet_core.ops.parallel import beside
 from regnet_core.pointcloud import (
     Index,
     crop,
@@ -76,9 +78,19 @@ class Surface:
     """(S,): row of the point in the user's array; -1 for inferred ones."""
 
 
+class Completed(NamedTuple):
+    """What takes longest to prepare."""
+
+    objects: Surface
+    ground: UnseenGround | None
+
+
 @dataclass(frozen=True)
 class Scene:
-    """One cloud, ready for detection."""
+    """One cloud, ready for detection.
+
+    What is hidden may still be in the making on another core: ``objects``, ``obstacles`` and ``ground`` wait for it.
+    """
 
     points: Array
     """(N, 3): every valid point in the workspace, thinned by voxels [m]."""
@@ -88,17 +100,31 @@ class Scene:
     """(N, 3) in [0, 1], or None."""
     plane: Plane | None
     """The support plane, if one was found."""
-    objects: Surface
-    """The surface of what stands on the plane (everything when there is no plane)."""
+    seen: Array
+    """(O, 3): what the camera saw of the objects' surface, the first rows of that [m]."""
     structure: Array
     """(K, 3): points of walls, people, furniture, which are only in the way [m]."""
-    ground: UnseenGround | None
-    """Which part of the plane was not seen; None without a plane."""
+    completed: Callable[[], Completed] = field(repr=False)
+    """Waits for the rest."""
+
+    @property
+    def objects(self) -> Surface:
+        """The surface of what stands on the plane (everything when there is no plane)."""
+        return self.completed().objects
+
+    @property
+    def ground(self) -> UnseenGround | None:
+        """Which part of the plane was not seen; None without a plane."""
+        return self.completed().ground
 
     @property
     def obstacles(self) -> Array:
         """(S + K, 3): everything above the plane that a hand could hit; the objects' points come first [m]."""
         return np.concatenate([self.objects.points, self.structure])
+
+    def wanted(self, focus: Mask | None) -> Mask:
+        """(S,): the points of the objects' surface that are in focus, all of them when there is none."""
+        return np.ones(len(self.objects.points), bool) if focus is None else focus
 
 
 def prepare_scene(
@@ -131,20 +157,25 @@ def prepare_scene(
     cloud, source = valid[thinned], source[thinned]
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
-        found = _find_surface(cloud, source, plane, config, rng, viewpoint, recorder.warnings)
-        ground = None
-        if plane is not None and config.complete_hidden:
-            on_plane = np.abs(plane.height(cloud)) <= config.plane_clearance
-            ground = unseen_ground(cloud[on_plane], found.objects.points)
-        step.kept = int(found.objects.observed.sum())
-        step.rejected = len(cloud) - step.kept
-    return Scene(
-        cloud, source, None if colors is None else colors[source], plane, found.objects, found.structure, ground
-    )
+        found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
+        step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
+    warnings = recorder.warnings
+    completed = beside(lambda: _complete(found, cloud, plane, config, viewpoint, warnings))
+    colors = None if colors is None else colors[source]
+    return Scene(cloud, source, colors, plane, found.points, found.structure, completed)
 
 
 class _Found(NamedTuple):
-    objects: Surface
+    """What was seen of the objects, O points."""
+
+    points: Array
+    normals: Array
+    """(O, 3), of which the sign is not known yet."""
+    source: Index
+    height: Array
+    """(O,): above ``base`` [m]."""
+    base: Plane
+    """The support plane, or what stands for it."""
     structure: Array
 
 
@@ -163,7 +194,6 @@ def _find_surface(
     plane: Plane | None,
     config: SceneConfig,
     rng: np.random.Generator,
-    viewpoint: Array | None,
     warnings: list[str],
 ) -> _Found:
     base = plane or _lowest_level(cloud)
@@ -189,6 +219,19 @@ def _find_surface(
     # Sensor noise is taken out along the normal: onto the plane of the neighbours.
     points = points - normals * np.sum((points - local.mean[keep]) * normals, axis=1, keepdims=True)
 
+    return _Found(points, normals, source, height, base, wall)
+
+
+def _complete(
+    found: _Found,
+    cloud: Array,
+    plane: Plane | None,
+    config: SceneConfig,
+    viewpoint: Array | None,
+    warnings: list[str],
+) -> Completed:
+    """The objects' surface with outward normals and hidden sides, and the ground."""
+    points, normals, source, height, base, _ = found
     model = fill_columns(points, base) if config.complete_hidden else None
     if plane is None and len(points) > 0:
         warnings.append("no support plane was found: objects are taken to stand at the height of the lowest point")
@@ -196,7 +239,12 @@ def _find_surface(
         warnings.append("the objects are spread too wide for their hidden sides to be inferred; crop the cloud")
     normals = _outward(points, normals, height, model, viewpoint)
     objects = Surface(points, normals, np.ones(len(points), bool), source)
-    return _Found(objects if model is None else _completed(objects, model, base), wall)
+    if model is not None:
+        objects = _with_hidden_sides(objects, model, base)
+    if plane is None or not config.complete_hidden:
+        return Completed(objects, None)
+    on_plane = np.abs(plane.height(cloud)) <= config.plane_clearance
+    return Completed(objects, unseen_ground(cloud[on_plane], objects.points))
 
 
 def _lowest_level(cloud: Array) -> Plane:
@@ -216,7 +264,7 @@ def _outward(points: Array, normals: Array, height: Array, model: SolidModel | N
     return normalised(orient_normals(normals, points - groups.mean(points)[groups.label]))
 
 
-def _completed(objects: Surface, model: SolidModel, base: Plane) -> Surface:
+def _with_hidden_sides(objects: Surface, model: SolidModel, base: Plane) -> Surface:
     """The surface with the hidden sides of the filled volume."""
     hidden = hidden_surface(model, base, objects.points)
     count = len(hidden.points)

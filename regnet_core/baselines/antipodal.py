@@ -75,10 +75,10 @@ class AntipodalSampler:
     def __init__(self, config: AntipodalConfig | None = None) -> None:
         self.config = config or AntipodalConfig()
 
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """Sample candidates on the focused surface and keep those that close on two opposing contacts."""
         surface = scene.objects
-        seeds = np.flatnonzero(focus)
+        seeds = np.flatnonzero(scene.wanted(focus))
         if len(seeds) == 0:
             return Proposals(Grasps.empty(), 0)
         rotations, points = zip(

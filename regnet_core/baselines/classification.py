@@ -70,7 +70,7 @@ class ClassifierProposer:
         self.name = network.name
         self._sampler = GpgSampler(self.config.sampler)
 
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """The candidates at focused points that are good, the jaw open at W."""
         found = self._sampler.sample(scene, gripper, focus, rng)
         areas = areas_in(scene, found.rotation, found.translation, gripper, self.network.most_points, rng)

@@ -83,17 +83,17 @@ class GpgSampler:
     def __init__(self, config: GpgConfig | None = None) -> None:
         self.config = config or GpgConfig()
 
-    def sample(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Candidates:
+    def sample(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Candidates:
         """Sample at seen points that are in focus.
 
         Args:
             scene: the prepared cloud.
             gripper: the hand.
-            focus: (S,) the points of ``scene.objects`` to sample at.
+            focus: (S,) the points of ``scene.objects`` to sample at; None: all of them.
             rng: source of randomness; the same state gives the same candidates.
         """
         cfg, surface = self.config, scene.objects
-        seeds = np.flatnonzero(focus & surface.observed)
+        seeds = np.flatnonzero(scene.wanted(focus) & surface.observed)
         seeds = seeds[random_sample(len(seeds), cfg.points, rng)]
         seen = surface.points[surface.observed]
         near = build_grid(seen, cfg.neighbourhood)

@@ -52,9 +52,9 @@ class RandomSampler:
     def __init__(self, config: RandomConfig | None = None) -> None:
         self.config = config or RandomConfig()
 
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """Draw hands at the focused surface points that the camera saw."""
-        seeds = np.flatnonzero(focus & scene.objects.observed)
+        seeds = np.flatnonzero(scene.wanted(focus) & scene.objects.observed)
         if len(seeds) == 0:
             return Proposals(Grasps.empty(), 0)
         hands = self._hands(scene, rng.choice(seeds, self.config.samples), gripper, rng)

@@ -66,10 +66,10 @@ class S4gProposer:
         self.selection = selection or S4gSelection()
 
     @torch.inference_mode()
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """The best grasps around the focused points, the jaw open at W; quality is the expected score."""
         surface = scene.objects
-        seen = focus & surface.observed
+        seen = scene.wanted(focus) & surface.observed
         if not seen.any():
             return Proposals(Grasps.empty(), 0)
         rows = surroundings(scene.points, surface.points[surface.observed])

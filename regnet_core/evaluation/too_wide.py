@@ -196,9 +196,8 @@ def _ask(settings: TooWideSettings, model: str, cloud: ObservedCloud, gripper: G
     config = DetectorConfig()
     rng = np.random.default_rng(settings.seed)
     scene = prepare_scene(cloud.points, None, config.scene, rng, StepRecorder(), cloud.viewpoint)
-    focus = np.ones(len(scene.objects.points), np.bool_)
     device = device_of(model, settings.device)
     detector = GraspDetector(model, device, settings.seed, config)
     limit_torch()
-    proposed = load_model(model, device).proposer.propose(scene, gripper, focus, rng).grasps
+    proposed = load_model(model, device).proposer.propose(scene, gripper, None, rng).grasps
     return proposed, detector.detect(cloud.points, gripper, viewpoint=cloud.viewpoint).grasps

@@ -27,6 +27,7 @@ from regnet_core.nn.results import (
     expected_quality,
     refined_quality,
 )
+from regnet_core.ops.parallel import beside
 
 
 class RegNet(nn.Module):
@@ -62,7 +63,12 @@ class RegNet(nn.Module):
             hierarchy: of the clouds, where it was made ahead.
             eligible: (N,) which points may become positive; all of them when None.
         """
-        clouds = with_shapes(clouds, self.config)
+        if hierarchy is None and clouds.points.device.type == "cpu" and not torch.is_grad_enabled():
+            levels = beside(lambda: build_hierarchy(clouds, self.config))
+            clouds = with_shapes(clouds, self.config)
+            hierarchy = levels()
+        else:
+            clouds = with_shapes(clouds, self.config)
         proposed = self.propose(clouds, hierarchy, eligible=eligible)
         if self.config.refinement is None:
             return Output(proposed, self.best_anchors(proposed), None)

@@ -38,15 +38,16 @@ class NetworkProposer:
         self.name = network.config.name
 
     @torch.inference_mode()
-    def propose(self, scene: Scene, gripper: Gripper, focus: Mask, rng: np.random.Generator) -> Proposals:
+    def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """The refined grasps of the most confident points that are in focus."""
-        seen = focus & scene.objects.observed
-        if not seen.any():
+        # The hidden sides are not needed: they may still be in the making.
+        seen = scene.seen if focus is None else scene.seen[focus[: len(scene.seen)]]
+        if len(seen) == 0:
             return Proposals(Grasps.empty(), 0)
-        rows = surroundings(scene.points, scene.objects.points[scene.objects.observed])
+        rows = surroundings(scene.points, scene.seen)
         # In random order: a ball query keeps the first points that it finds, and cameras give them row after row.
         rows = rng.permutation(rows)[: self.network.config.points]
-        eligible = near_any(scene.objects.points[seen], scene.points[rows], _SAME)
+        eligible = near_any(seen, scene.points[rows], _SAME)
         if not eligible.any():
             return Proposals(Grasps.empty(), 0)
         clouds = self._clouds(scene, rows, gripper)

@@ -8,7 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from threading import local
+from typing import TypeVar
 
+Result = TypeVar("Result")
 _limit: int | None = None
 _thread = local()
 """What is said of the thread that asks."""
@@ -89,3 +91,14 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
         for helper in helpers:
             if not helper.cancel():  # one that has not begun is not needed any more
                 helper.result()
+
+
+def beside(work: Callable[[], Result]) -> Callable[[], Result]:
+    """Have work done on another core from now on -> what waits for it and gives its result, or raises its error, each
+    time that it is called. Where this process has one core, the work is done at once.
+    """
+    if available_cores() == 1 or getattr(_thread, "alone", False):
+        done = work()
+        return lambda: done
+
+    return _pool().submit(work).result
