@@ -41,7 +41,7 @@ class MessagePath:
         conversions.cloud_from_message(message)
         header = Header(stamp=message.header.stamp, frame_id="world")
         data = sent(conversions.cloud_to_message(header, prepared.points, prepared.colors))
-        sent(visuals.plane_marker(header, prepared.plane, prepared.points))
+        sent(visuals.plane_marker(header, detection.plane, prepared.points))
         message = received(data, PointCloud2)
         conversions.cloud_from_message(message)
         array = conversions.grasp_array(header, detection.grasps, detection.gripper, detection.report)

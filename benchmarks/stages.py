@@ -72,12 +72,6 @@ CLOUD_STAGES = (
         "one point of each voxel, and random draws",
         ("regnet_core.pointcloud:voxel_downsample", "regnet_core.pointcloud:random_sample"),
     ),
-    Stage(
-        "support plane",
-        "preparation",
-        "fitting the plane that objects stand on",
-        ("regnet_core.pointcloud:fit_support_plane",),
-    ),
 )
 """What preprocessor and detector both do with a cloud."""
 
@@ -93,6 +87,12 @@ PREPROCESSOR_STAGES = (
 
 SCENE_STAGES = (
     *CLOUD_STAGES,
+    Stage(
+        "support plane",
+        "preparation",
+        "fitting the plane that objects stand on",
+        ("regnet_core.pointcloud:fit_support_plane",),
+    ),
     Stage(
         "crop",
         "preparation",

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from regnet_core.checks import as_transform, is_number, is_whole, shown
 from regnet_core.errors import CloudError, InvalidInputError
-from regnet_core.geometry import Array, Box, Plane
-from regnet_core.pointcloud import Index, fit_support_plane, place_points, random_sample, voxel_downsample
+from regnet_core.geometry import Array, Box
+from regnet_core.pointcloud import Index, place_points, random_sample, voxel_downsample
 from regnet_core.report import StepRecorder, StepReport
 
 
@@ -29,9 +29,7 @@ class PreprocessingConfig:
     max_points: int = 0
     """Most points to keep, drawn at random; 0 keeps all."""
     seed: int = 0
-    """Of the random draw and of the plane's fit: the same cloud gives the same result."""
-    support_plane: bool = True
-    """Whether to look for the plane that the objects stand on."""
+    """Of the random draw: the same cloud gives the same result."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.workspace, Box | None):
@@ -54,8 +52,6 @@ class Preprocessed:
     """(N, 3) finite coordinates [m]."""
     colors: npt.NDArray[np.uint8] | None
     """(N, 3), where the input had colours."""
-    plane: Plane | None
-    """The support plane, if one was looked for and found."""
     steps: tuple[StepReport, ...]
     """What each step kept and rejected."""
     reason: str
@@ -93,13 +89,8 @@ def preprocess(
     with recorder.step("down-sampling") as step:
         kept = _thinned(placed.points, config, rng)
         step.kept, step.rejected = len(kept), len(placed.points) - len(kept)
-    result, plane = placed.points[kept], None
-    if config.support_plane:
-        with recorder.step("support plane") as step:
-            plane = fit_support_plane(result, rng)
-            step.kept = int(plane is not None)
     chosen = None if colors is None else np.asarray(colors)[placed.rows[kept]]
-    return Preprocessed(result, chosen, plane, tuple(recorder.steps), _reason(recorder.steps, config))
+    return Preprocessed(placed.points[kept], chosen, tuple(recorder.steps), _reason(recorder.steps, config))
 
 
 def _thinned(points: Array, config: PreprocessingConfig, rng: np.random.Generator) -> Index:

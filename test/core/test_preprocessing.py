@@ -19,9 +19,6 @@ def test_points_are_moved_to_the_target_frame() -> None:
     result = preprocess(seen, None, T_world_camera)
     np.testing.assert_allclose(result.points, table(), atol=1e-12)
     assert result.colors is None
-    assert result.plane is not None
-    assert result.plane.offset == pytest.approx(0.75, abs=1e-6)
-    assert result.plane.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
 
 
 def test_colours_follow_their_points_through_every_step() -> None:
@@ -76,14 +73,7 @@ def test_the_same_seed_draws_the_same_points_and_another_seed_others() -> None:
 def test_when_nothing_is_left_the_reason_is_given(points: np.ndarray, box: Box | None, reason: str) -> None:
     result = preprocess(points, None, np.eye(4), PreprocessingConfig(box))
     assert result.points.shape == (0, 3)
-    assert result.plane is None
     assert reason in result.reason
-
-
-def test_the_plane_can_be_left_out() -> None:
-    result = preprocess(table(), None, np.eye(4), PreprocessingConfig(support_plane=False))
-    assert result.plane is None
-    assert "support plane" not in [step.name for step in result.steps]
 
 
 def test_input_that_makes_no_sense_is_refused() -> None:
