@@ -30,6 +30,8 @@ from regnet_ros.parameters import ParameterStore, Table
 _DIAGNOSTICS_PERIOD = 1.0
 _NAP = 0.02
 """Longest sleep of a thread that waits for its turn [s]; a signal is noticed so soon."""
+_LAST_WORK = 2.0
+"""How long to wait for work that is under way when the node is destroyed [s]."""
 _REPEAT_LOG_AFTER = 5.0
 """A message that stays the same is logged once in so many seconds."""
 
@@ -47,8 +49,9 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     """A lifecycle node that works on the newest of its inputs and survives whatever comes in.
 
     A subclass names its ``table`` of parameters and implements ``configure`` (create publishers, subscriptions and
-    services by the ``add_...`` methods) and ``work`` (one input). Callbacks run in several threads: inputs, work,
-    services, parameters and lifecycle each have a callback group, so that parameters answer while a detection runs.
+    services by the ``add_...`` methods) and ``work`` (one input). Callbacks run in several threads: inputs, services,
+    parameters and lifecycle each have a callback group, so that parameters answer while a detection runs. The work has
+    a thread of its own.
     """
 
     table: ClassVar[type]
@@ -82,9 +85,10 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self.input_group = MutuallyExclusiveCallbackGroup()
         self.service_group = MutuallyExclusiveCallbackGroup()
         self._mailbox: Mailbox[Any] = Mailbox()
-        self._wake = self.create_guard_condition(
-            self._guarded(self._work), callback_group=MutuallyExclusiveCallbackGroup()
-        )
+        self._wake, self._destroyed = threading.Event(), False
+        # Not a callback: the executor would first have to be woken, and to look through everything that it waits for.
+        self._worker = threading.Thread(target=self._keep_working, name=f"{name} worker", daemon=True)
+        self._worker.start()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         # Steady time: with use_sim_time and no clock, timers on the node's clock would never fire.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -165,7 +169,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         """Work on an item again, unless a newer one waits."""
         if self._active:
             self._mailbox.put_if_empty(item)
-            self._wake.trigger()  # in any case: where an item waits and nobody works, nobody else would begin
+            self._wake.set()  # in any case: where an item waits and nobody works, nobody else would begin
 
     def fail(self, message: str) -> None:
         """Report something that could not be worked on: in the log and in the diagnostics, at once."""
@@ -208,6 +212,14 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
             if self.context.ok():  # otherwise the node is shutting down, and there is nobody to tell
                 raise
 
+    def destroy_node(self) -> None:
+        """End the work and release everything (rclpy's method)."""
+        self._active, self._destroyed = False, True
+        self._wake.set()
+        if threading.current_thread() is not self._worker:
+            self._worker.join(_LAST_WORK)
+        super().destroy_node()
+
     def wait_until_idle(self, timeout: float) -> bool:
         """Wait for work and services to end, at most ``timeout`` [s] each; whether they did."""
         for lock in (self._working, self.busy):
@@ -230,7 +242,13 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self.health.received()
         if self._mailbox.put(message):
             self.health.dropped()
-        self._wake.trigger()
+        self._wake.set()
+
+    def _keep_working(self) -> None:
+        while not self._destroyed:
+            self._wake.wait()
+            self._wake.clear()
+            self._guarded(self._work)()
 
     def _work(self) -> None:
         while self._wait_for_turn() and (item := self._mailbox.take()) is not None:

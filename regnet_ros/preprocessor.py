@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import Any
@@ -29,6 +30,9 @@ ZERO_STAMP = (
     "the cloud's stamp is zero: its results cannot be matched with transforms or other data; set it in the driver"
 )
 
+_UNHEARD_PLANE = 1.0
+"""Where nobody listens, the plane that who comes later is to get is renewed so often [s]."""
+
 
 class Preprocessor(GraspNode[PreprocessorParameters]):
     """`points` -> valid points in `target_frame`, cropped and thinned -> `cloud`, and the plane -> `support_plane`."""
@@ -40,6 +44,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def configure(self) -> None:
         """Create the topics."""
+        self._last_plane = -math.inf
         self._pace, self._asking = Pace(), self.resolve_topic_name(NEXT_CLOUD)
         requests = self.create_subscription(
             Duration, NEXT_CLOUD, self._on_request, OUTPUT_QOS, callback_group=self.input_group
@@ -84,32 +89,36 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         self._cloud.publish(cloud_to_message(header, result.points, result.colors))
         self._pace.sent(time.monotonic())
         published = time.perf_counter()
+        stages = {
+            "convert": converted - start,
+            "prepare": prepared - converted,
+            "publish": published - prepared,
+            "total": published - start,
+        }
+        steps = list(result.steps)
         # Nobody waits for the plane: the detector is at work already.
-        with self.busy:
-            plane, step = _support_plane(result.points, settings.config.seed)
-        self._plane.publish(plane_marker(header, plane, result.points))
-        end = time.perf_counter()
+        if self._plane.get_subscription_count() > 0 or published - self._last_plane >= _UNHEARD_PLANE:
+            self._last_plane = published
+            with self.busy:
+                plane, step = _support_plane(result.points, settings.config.seed)
+            self._plane.publish(plane_marker(header, plane, result.points))
+            stages["support plane"] = time.perf_counter() - published
+            steps.append(step)
         unstamped = item.header.stamp.sec == 0 and item.header.stamp.nanosec == 0
         self.done(
-            {
-                "convert": converted - start,
-                "prepare": prepared - converted,
-                "publish": published - prepared,
-                "total": published - start,
-                "support plane": end - published,
-            },
-            [*result.steps, *step],
+            stages,
+            steps,
             {"points": len(result.points)},
             result.reason or (ZERO_STAMP if unstamped else ""),
         )
 
 
-def _support_plane(points: Array, seed: int) -> tuple[Plane | None, list[StepReport]]:
+def _support_plane(points: Array, seed: int) -> tuple[Plane | None, StepReport]:
     recorder = StepRecorder()
     with recorder.step("support plane") as step:
         plane = fit_support_plane(points, np.random.default_rng(seed))
         step.kept = int(plane is not None)
-    return plane, recorder.steps
+    return plane, recorder.steps[0]
 
 
 def main(args: list[str] | None = None) -> int:
