@@ -19,6 +19,7 @@ MAINTAINERS = MANIFEST.findall("maintainer")
 RUNTIME = [
     # Later releases have no wheels for some Pythons.
     "fpsample==0.3.3",
+    "llvmlite>=0.42",
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",
     "numba>=0.59",

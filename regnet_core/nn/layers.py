@@ -118,10 +118,6 @@ class Mlp(nn.ModuleList):
         self._bytes = None
         return super().train(mode)
 
-    def __getstate__(self) -> dict[str, Any]:
-        # What oneDNN has prepared cannot be copied; a copy computes with floats.
-        return {**self.__dict__, "_bytes": None}
-
     def _apply(self, fn: Any, recurse: bool = True) -> Mlp:
         self._bytes = None
         return super()._apply(fn, recurse)

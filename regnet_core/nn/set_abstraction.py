@@ -8,7 +8,7 @@ from torch import nn
 from regnet_core.nn.config import AbstractionConfig
 from regnet_core.nn.hierarchy import Level
 from regnet_core.nn.pooling import PooledMlp
-from regnet_core.ops.neighbourhoods import Neighbourhoods
+from regnet_core.ops.neighbourhoods import Neighbourhoods, offsets_from_centres
 
 
 class SetAbstraction(nn.Module):
@@ -30,8 +30,7 @@ class SetAbstraction(nn.Module):
         """
 
         def offsets(some: slice, near: Neighbourhoods) -> torch.Tensor:
-            centres = level.points[some].index_select(0, near.centres())
-            return (points.index_select(0, near.indices) - centres) / self.radius
+            return offsets_from_centres(points, level.points[some], near, self.radius)
 
         carried = None if features is None else self.mlp.carried(3, features)
         return self.mlp.pooled(offsets, 3, carried, level.neighbours)

@@ -19,10 +19,19 @@ def compiled(function: Function) -> Function:
     The key of a cache entry is the text of the function's own file only: after an edit of an ``inlined`` function the
     caches of the files that use it are stale. Delete their ``__pycache__/*.nbi`` then.
     """
+    return _compiled(function)
+
+
+def compiled_with_any_order(function: Function) -> Function:
+    """The same, with sums of floats in any order, so that several numbers are added at a time."""
+    return _compiled(function, fastmath={"reassoc", "nsz", "contract"})
+
+
+def _compiled(function: Function, **options: Any) -> Function:
     try:
-        return cast(Function, njit(nogil=True, cache=True)(function))
+        return cast(Function, njit(nogil=True, cache=True, **options)(function))
     except RuntimeError:  # numba's way to say that no locator finds a place for the cache
-        return cast(Function, njit(nogil=True)(function))
+        return cast(Function, njit(nogil=True, **options)(function))
 
 
 def inlined(function: Function) -> Function:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled
+from regnet_core.ops.compiled import compiled, compiled_with_any_order
 from regnet_core.ops.parallel import for_each_range
 from regnet_core.ops.voxel_grid import VoxelGrid, cell_range
 
@@ -42,10 +42,13 @@ def local_moments(grid: VoxelGrid, queries: Array, radius: float) -> LocalMoment
     count = np.zeros(len(queries), np.int64)
     mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
 
+    order = _order(grid, queries)
+
     def run(start: int, stop: int) -> None:
         _moments(
-            queries, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, count, mean, cov
-        )
+            queries, order, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop,
+            count, mean, cov,
+        )  # fmt: skip
 
     for_each_range(run, len(queries))
     return LocalMoments(count, mean, cov)
@@ -57,62 +60,99 @@ def local_planes(grid: VoxelGrid, queries: Array, radius: float) -> LocalPlanes:
     mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
     normal, roughness = np.zeros((len(queries), 3)), np.zeros(len(queries))
 
+    order = _order(grid, queries)
+
     def run(start: int, stop: int) -> None:
         _moments(
-            queries, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, count, mean, cov
-        )
-        _least_axes(cov, start, stop, normal, roughness)
+            queries, order, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop,
+            count, mean, cov,
+        )  # fmt: skip
+        _least_axes(cov, order, start, stop, normal, roughness)
 
     for_each_range(run, len(queries))
     return LocalPlanes(mean, normal, roughness, count)
 
 
+def _order(grid: VoxelGrid, queries: Array) -> npt.NDArray[np.int64]:
+    """In which order to answer queries (Q, 3): any will do; where they are the grid's points, cell by cell is fast."""
+    return grid.order if len(grid.order) == len(queries) else np.arange(len(queries))
+
+
 @compiled
-def _moments(queries, radius, points, starts, origin, shape, cell, begin, end, count, mean, cov):  # type: ignore[no-untyped-def]
-    for q in range(begin, end):
-        x, y, z = queries[q]
-        n = 0
-        sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+def _moments(queries, order, radius, points, starts, origin, shape, cell, begin, end, count, mean, cov):  # type: ignore[no-untyped-def]
+    """The points of the cells around a query are put in a row of their own, which the next query uses too if it is in
+    the same cell."""
+    room = 512
+    xs, ys, zs = np.empty(room), np.empty(room), np.empty(room)
+    cells, n = (-1, -1, -1, -1, -1, -1), 0
+    for place in range(begin, end):
+        q = order[place]
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
         j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
         k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
         if k1 < k0:
             continue
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                row = (i * shape[1] + j) * shape[2]
-                for p in range(starts[row + k0], starts[row + k1 + 1]):
-                    dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                    if dx * dx + dy * dy + dz * dz > radius * radius:
-                        continue
-                    n += 1
-                    sx += dx
-                    sy += dy
-                    sz += dz
-                    sxx += dx * dx
-                    sxy += dx * dy
-                    sxz += dx * dz
-                    syy += dy * dy
-                    syz += dy * dz
-                    szz += dz * dz
-        count[q] = n
-        if n == 0:
+        if (i0, i1, j0, j1, k0, k1) != cells:
+            cells, n = (i0, i1, j0, j1, k0, k1), 0
+            for i in range(i0, i1 + 1):
+                for j in range(j0, j1 + 1):
+                    row = (i * shape[1] + j) * shape[2]
+                    first, last = starts[row + k0], starts[row + k1 + 1]
+                    if n + last - first > room:
+                        room = 2 * (n + last - first)
+                        xs, ys, zs = _longer(xs, n, room), _longer(ys, n, room), _longer(zs, n, room)
+                    for p in range(first, last):
+                        xs[n], ys[n], zs[n] = points[p, 0], points[p, 1], points[p, 2]
+                        n += 1
+        m, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz = _sums(xs[:n], ys[:n], zs[:n], x, y, z, radius * radius)
+        count[q] = int(m)
+        if m == 0.0:
             continue
-        mx, my, mz = sx / n, sy / n, sz / n
-        mean[q] = x + mx, y + my, z + mz
-        cov[q, 0, 0] = sxx / n - mx * mx
-        cov[q, 1, 1] = syy / n - my * my
-        cov[q, 2, 2] = szz / n - mz * mz
-        cov[q, 0, 1] = cov[q, 1, 0] = sxy / n - mx * my
-        cov[q, 0, 2] = cov[q, 2, 0] = sxz / n - mx * mz
-        cov[q, 1, 2] = cov[q, 2, 1] = syz / n - my * mz
+        mx, my, mz = sx / m, sy / m, sz / m
+        mean[q, 0], mean[q, 1], mean[q, 2] = x + mx, y + my, z + mz
+        cov[q, 0, 0] = sxx / m - mx * mx
+        cov[q, 1, 1] = syy / m - my * my
+        cov[q, 2, 2] = szz / m - mz * mz
+        cov[q, 0, 1] = cov[q, 1, 0] = sxy / m - mx * my
+        cov[q, 0, 2] = cov[q, 2, 0] = sxz / m - mx * mz
+        cov[q, 1, 2] = cov[q, 2, 1] = syz / m - my * mz
 
 
 @compiled
-def _least_axes(tensors, begin, end, axis, root):  # type: ignore[no-untyped-def]
+def _longer(values, n, room):  # type: ignore[no-untyped-def]
+    longer = np.empty(room)
+    longer[:n] = values[:n]
+    return longer
+
+
+@compiled_with_any_order
+def _sums(xs, ys, zs, x, y, z, squared):  # type: ignore[no-untyped-def]
+    """How many points are near enough, and the sums of their offsets and of the products of these."""
+    m = sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+    for p in range(len(xs)):
+        dx, dy, dz = xs[p] - x, ys[p] - y, zs[p] - z
+        near = 1.0 if dx * dx + dy * dy + dz * dz <= squared else 0.0
+        m += near
+        dx, dy, dz = near * dx, near * dy, near * dz
+        sx += dx
+        sy += dy
+        sz += dz
+        sxx += dx * dx
+        sxy += dx * dy
+        sxz += dx * dz
+        syy += dy * dy
+        syz += dy * dz
+        szz += dz * dz
+    return m, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz
+
+
+@compiled
+def _least_axes(tensors, order, begin, end, axis, root):  # type: ignore[no-untyped-def]
     """Unit eigenvectors of the least eigenvalues of symmetric tensors, and the roots of these, by Jacobi rotations."""
     a, v = np.empty((3, 3)), np.empty((3, 3))
-    for q in range(begin, end):
+    for place in range(begin, end):
+        q = order[place]
         size = 0.0
         for i in range(3):
             for j in range(3):

@@ -48,6 +48,31 @@ class Neighbourhoods(NamedTuple):
         return Neighbourhoods(self.indices.to(device), self.offsets.to(device))
 
 
+def offsets_from_centres(
+    points: torch.Tensor, centres: torch.Tensor, near: Neighbourhoods, unit: float
+) -> torch.Tensor:
+    """Where E neighbours are as seen from their centres -> (E, 3) float32, in that unit; no gradients.
+
+    Args:
+        points: (N, 3) float32 [m].
+        centres: (C, 3) float32 [m].
+        near: of the centres, as rows of the points.
+        unit: [m].
+    """
+    points, centres = points.detach(), centres.detach()
+    if points.device.type != "cpu":
+        return (points.index_select(0, near.indices) - centres.index_select(0, near.centres())) / unit
+    offsets = torch.empty((len(near.indices), 3))
+    where, middle, out = points.contiguous().numpy(), centres.contiguous().numpy(), offsets.numpy()
+    rows, bounds = near.indices.numpy(), near.offsets.numpy()
+
+    def run(start: int, stop: int) -> None:
+        _look(where, middle, np.float32(unit), rows, bounds, start, stop, out)
+
+    for_each_range(run, len(middle), least=256)
+    return offsets
+
+
 def joined(parts: Sequence[Neighbourhoods], first_points: Sequence[int]) -> Neighbourhoods:
     """The neighbourhoods of several clouds as those of their concatenation.
 
@@ -131,3 +156,14 @@ def _compact(found, offsets, begin, end, indices):  # type: ignore[no-untyped-de
     for c in range(begin, end):
         for i in range(offsets[c + 1] - offsets[c]):
             indices[offsets[c] + i] = found[c, i]
+
+
+@compiled
+def _look(points, centres, unit, indices, offsets, begin, end, out):  # type: ignore[no-untyped-def]
+    for c in range(begin, end):
+        x, y, z = centres[c, 0], centres[c, 1], centres[c, 2]
+        for e in range(offsets[c], offsets[c + 1]):
+            row = indices[e]
+            out[e, 0], out[e, 1], out[e, 2] = (
+                (points[row, 0] - x) / unit, (points[row, 1] - y) / unit, (points[row, 2] - z) / unit
+            )  # fmt: skip

@@ -183,7 +183,7 @@ def test_layers_in_bytes_are_near_those_in_floats() -> None:
     copied = copy.deepcopy(mlp)
     mlp.eval()
     with torch.no_grad():
-        assert torch.equal(mlp(rows), expected) and torch.equal(copied(rows), expected)
+        assert torch.equal(mlp(rows), expected) and torch.equal(copied(rows), found)
 
 
 def test_pooled_layers_in_bytes_are_near_those_in_floats() -> None:
