@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -50,6 +51,24 @@ def test_several_threads_may_call_at_a_time() -> None:
     with ThreadPoolExecutor(4) as callers:
         for result in [callers.submit(every_kernel) for _ in range(8)]:
             assert_same(result.result(timeout=60), expected)
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+def test_work_beside_others_gives_its_result_and_its_errors(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong() -> None:
+        raise ValueError("of the work")
+
+    with ThreadPoolExecutor(cores) as pool:
+        monkeypatch.setattr(parallel, "available_cores", lambda: cores)
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        thread = parallel.beside(threading.current_thread)
+        assert thread() is thread() and (thread() is threading.current_thread()) == (cores == 1)
+        # Work beside others that uses all cores itself, more of it than there are threads.
+        results = [parallel.beside(every_kernel) for _ in range(5)]
+        for result in results:
+            assert_same(result(), every_kernel())
+        with pytest.raises(ValueError, match="of the work"):
+            parallel.beside(wrong)()
 
 
 def finished(script: str) -> subprocess.CompletedProcess[str]:

@@ -5,6 +5,7 @@ import pytest
 import shapes
 
 from regnet_core import Box
+from regnet_core.ops import parallel
 from regnet_core.report import StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
 from regnet_core.visibility import unseen_ground
@@ -46,6 +47,20 @@ def test_a_known_viewpoint_orients_the_normals_too() -> None:
     towards = shapes.CAMERA - scene.objects.points
     assert (np.sum(scene.objects.normals * towards, axis=1) >= 0).all()
     assert scene.objects.observed.all()
+
+
+def test_what_was_seen_comes_first_and_the_rest_does_not_depend_on_who_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = shapes.single_view(shapes.box(0.06, 0.10, 0.12))
+    scene, recorder = prepare(points)
+    seen = len(scene.seen)
+    assert scene.objects.observed[:seen].all() and not scene.objects.observed[seen:].any() and seen > 500
+    np.testing.assert_array_equal(scene.objects.points[:seen], scene.seen)
+    assert {step.name: step.kept for step in recorder.steps}["points on objects"] == seen
+    assert scene.wanted(None).all() and len(scene.wanted(None)) == len(scene.objects.points)
+    monkeypatch.setattr(parallel, "available_cores", lambda: 1)
+    alone, _ = prepare(points)
+    np.testing.assert_array_equal(alone.objects.points, scene.objects.points)
+    np.testing.assert_array_equal(alone.objects.normals, scene.objects.normals)
 
 
 def test_flying_pixels_are_dropped_and_counted() -> None:

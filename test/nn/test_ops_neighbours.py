@@ -18,7 +18,7 @@ from regnet_core.ops.interpolation import (
     three_nearest_in_torch,
     three_nearest_on_cpu,
 )
-from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
+from regnet_core.ops.neighbourhoods import Neighbourhoods, joined, offsets_from_centres
 
 
 def as_lists(found: Neighbourhoods) -> list[list[int]]:
@@ -63,6 +63,15 @@ def test_farthest_points_of_few_equal_and_no_points() -> None:
         farthest_points(torch.zeros(4, 3), -1)
     with pytest.raises(InvalidInputError, match=r"\(N, 3\), got \(4, 2\)"):
         farthest_points(torch.zeros(4, 2), 1)
+
+
+def test_offsets_are_those_from_each_centre() -> None:
+    cloud = tabletop(2000)
+    near, centres = ball_query(cloud, cloud[:400], 0.03, 16), cloud[:400]
+    expected = (cloud[near.indices] - centres[near.centres()]) / 0.03
+    torch.testing.assert_close(offsets_from_centres(cloud, centres, near, 0.03), expected, rtol=1e-6, atol=1e-7)
+    nobody = Neighbourhoods(near.indices[:0], torch.zeros(3, dtype=torch.int64))
+    assert offsets_from_centres(cloud, centres[:2], nobody, 1.0).shape == (0, 3)
 
 
 def test_ball_query_by_hand() -> None:
