@@ -264,17 +264,8 @@ def _floats_of_rows(rows, scale, layers, width, least, begin, end, out):  # type
 @compiled
 def _through(layers, count, rows, given, room):  # type: ignore[no-untyped-def]
     """What the first layers make of rows in ``given``: in that array or in ``room``, which has as much of it."""
-    stride = given.shape[1]
     for number in range(count):
-        fours, blocks, at, column = layers.places[number]
-        for part in range(blocks):
-            weight = layers.weights.ctypes.data + at + part * fours * 4 * COLUMNS
-            first = 4 * (column + part * COLUMNS)
-            scale, bias = layers.scales.ctypes.data + first, layers.biases.ctypes.data + first
-            for row in range(0, rows, ROWS):
-                source = given.ctypes.data + row * stride
-                target = room.ctypes.data + row * stride + part * COLUMNS
-                products_to_bytes(source, stride, weight, fours, scale, bias, np.float32(0.0), target, stride)
+        _apply(layers, number, rows, given, np.float32(0.0), False, room.ctypes.data, room.shape[1])
         given, room = room, given
     return given
 
@@ -282,16 +273,25 @@ def _through(layers, count, rows, given, room):  # type: ignore[no-untyped-def]
 @compiled
 def _end(layers, rows, given, least, out):  # type: ignore[no-untyped-def]
     """What the last layer makes of rows in ``given``, into the first rows of ``out``."""
-    fours, blocks, at, column = layers.places[-1]
-    stride, out_stride = given.shape[1], 4 * out.shape[1]
+    _apply(layers, len(layers.places) - 1, rows, given, least, True, out.ctypes.data, 4 * out.shape[1])
+
+
+@compiled
+def _apply(layers, number, rows, given, least, to_floats, out, out_stride):  # type: ignore[no-untyped-def]
+    """A layer on rows in ``given``, to rows at the address ``out`` that are so many bytes apart."""
+    fours, blocks, at, column = layers.places[number]
+    stride, size = given.shape[1], 4 if to_floats else 1
     for part in range(blocks):
         weight = layers.weights.ctypes.data + at + part * fours * 4 * COLUMNS
         first = 4 * (column + part * COLUMNS)
         scale, bias = layers.scales.ctypes.data + first, layers.biases.ctypes.data + first
         for row in range(0, rows, ROWS):
             source = given.ctypes.data + row * stride
-            target = out.ctypes.data + row * out_stride + 4 * part * COLUMNS
-            products_to_floats(source, stride, weight, fours, scale, bias, least, target, out_stride)
+            target = out + row * out_stride + size * part * COLUMNS
+            if to_floats:
+                products_to_floats(source, stride, weight, fours, scale, bias, least, target, out_stride)
+            else:
+                products_to_bytes(source, stride, weight, fours, scale, bias, least, target, out_stride)
 
 
 @compiled
