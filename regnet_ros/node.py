@@ -87,8 +87,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._mailbox: Mailbox[Any] = Mailbox()
         self._wake, self._destroyed = threading.Event(), False
         # Not a callback: the executor would first have to be woken, and to look through everything that it waits for.
+        # It begins when the node is first activated: a node that never gets there can be forgotten.
         self._worker = threading.Thread(target=self._keep_working, name=f"{name} worker", daemon=True)
-        self._worker.start()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         # Steady time: with use_sim_time and no clock, timers on the node's clock would never fire.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -216,7 +216,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         """End the work and release everything (rclpy's method)."""
         self._active, self._destroyed = False, True
         self._wake.set()
-        if threading.current_thread() is not self._worker:
+        if self._worker.is_alive() and threading.current_thread() is not self._worker:
             self._worker.join(_LAST_WORK)
         super().destroy_node()
 
@@ -319,6 +319,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         result = super().on_activate(state)
         self._mailbox.take()  # what a callback that was under way put in after the deactivation
         self._active = result == _SUCCESS
+        if self._worker.ident is None:
+            self._worker.start()
         self.get_logger().info(f"active, waiting for {self.health.awaits()}")
         return result
 
