@@ -142,7 +142,7 @@ def prepare_scene(
         colors: (M, 3) in [0, 1], or None.
         config: how to do it.
         rng: source of randomness.
-        recorder: receives the counts and times of the steps, and warnings.
+        recorder: receives the counts and times of the steps, and warnings, the last of them before ``completed`` ends.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
     with recorder.step("valid points") as step:

@@ -16,8 +16,9 @@ def compiled(function: Function) -> Function:
     numba keeps the cache beside the source file or in the user's home. Where it can write to neither (a read-only
     installation, a service without a home), each process compiles anew, which takes some seconds.
 
-    The key of a cache entry is the text of the function's own file only: after an edit of an ``inlined`` function the
-    caches of the files that use it are stale. Delete their ``__pycache__/*.nbi`` then.
+    The key of a cache entry is the text of the function's own file only: after an edit of an ``inlined`` function, or
+    of one that is written as LLVM's code, the caches of the files that use it are stale. Delete their
+    ``__pycache__/*.nbi`` then.
     """
     return _compiled(function)
 

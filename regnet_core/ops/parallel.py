@@ -95,7 +95,7 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
 
 def beside(work: Callable[[], Result]) -> Callable[[], Result]:
     """Have work done on another core from now on -> what waits for it and gives its result, or raises its error, each
-    time that it is called. Where this process has one core, the work is done at once.
+    time that it is called. Where this process has one core, the work is done at once, and an error raised at once.
     """
     if available_cores() == 1 or getattr(_thread, "alone", False):
         done = work()

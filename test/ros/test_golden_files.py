@@ -14,7 +14,6 @@ from live import REPOSITORY
 from regnet_core import Grasps, models
 from regnet_core.models import DEFAULT_MODEL
 from regnet_core.nn import precision
-from regnet_core.ops.byte_products import has_byte_products
 
 MODELS = sorted({model for model, _ in FILES})
 
@@ -48,8 +47,6 @@ def nothing_loaded() -> Iterator[None]:
 def test_every_number_format_gives_what_the_file_says(
     model: str, numbers: str, make_golden: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if numbers == "int8" and not has_byte_products():
-        pytest.skip("this torch does not multiply bytes")
     monkeypatch.setattr(precision, "cpu_precision", lambda: numbers)
     limits = tolerance(model)
     for bag in sorted(BAGS):
