@@ -15,7 +15,7 @@ from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import first_in_voxels, moved_rows, rows_in_box, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
-from regnet_core.ops.voxel_grid import bounds, build_grid
+from regnet_core.ops.voxel_grid import bounds
 
 Index = npt.NDArray[np.int64]
 
@@ -198,7 +198,7 @@ def neighbourhood_radius(
 
 def estimate_normals(points: Array, radius: float) -> LocalPlanes:
     """Local planes of points (N, 3) among themselves; normals have an arbitrary sign (``orient_normals``)."""
-    return local_planes(build_grid(points, max(radius, 0.005)), points, radius)
+    return local_planes(points, radius)
 
 
 def orient_normals(normals: Array, towards: Array) -> Array:

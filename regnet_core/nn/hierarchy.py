@@ -14,6 +14,7 @@ import torch
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig
 from regnet_core.ops.ball_query import ball_query, point_grid
+from regnet_core.ops.buckets import Buckets, point_buckets
 from regnet_core.ops.farthest_points import farthest_points
 from regnet_core.ops.interpolation import Interpolation, three_nearest
 from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
@@ -64,39 +65,57 @@ def build_hierarchy(clouds: Clouds, config: NetworkConfig) -> Hierarchy:
     """The levels that a network of this configuration has for these clouds."""
     rows = clouds.slices()
     grids = tuple(point_grid(clouds.points[own], config.abstractions[0].radius) for own in rows)
+    buckets = [point_buckets(clouds.points[own]) for own in rows]
     # All levels' centroids come from one sequence, of which each takes the first ones: farthest_points.py says why.
-    sequences = [farthest_points(clouds.points[own], config.abstractions[0].centroids) + own.start for own in rows]
+    most = config.abstractions[0].centroids
+    sequences = [
+        farthest_points(clouds.points[own], most, parts) + own.start for own, parts in zip(rows, buckets, strict=True)
+    ]
     levels: list[Level] = []
-    below, below_rows, below_grids = clouds.points, rows, grids
+    below = _Below(clouds.points, rows, grids, buckets)
     for abstraction in config.abstractions:
-        level = _level(clouds.points, sequences, abstraction, below, below_rows, below_grids, first=not levels)
+        level, buckets = _level(clouds.points, sequences, abstraction, below, first=not levels)
         levels.append(level)
-        below, below_rows, below_grids = level.points, level.slices(), (None,) * len(rows)
+        below = _Below(level.points, level.slices(), (None,) * len(rows), buckets)
     return Hierarchy(tuple(levels), grids)
+
+
+class _Below(NamedTuple):
+    """What a level's centroids look at."""
+
+    points: torch.Tensor
+    """(N, 3) of all clouds [m]."""
+    rows: list[slice]
+    """Of each cloud."""
+    grids: tuple[VoxelGrid | None, ...]
+    """Of each cloud's, where there is one."""
+    buckets: list[Buckets | None]
+    """Of each cloud's, on a CPU."""
 
 
 def _level(
     points: torch.Tensor,
     sequences: list[torch.Tensor],
     config: AbstractionConfig,
-    below: torch.Tensor,
-    below_rows: list[slice],
-    below_grids: tuple[VoxelGrid | None, ...],
+    below: _Below,
     first: bool,
-) -> Level:
+) -> tuple[Level, list[Buckets | None]]:
+    """The level, and each cloud's centroids in buckets."""
     chosen = [sequence[: config.centroids] for sequence in sequences]
     source = torch.cat(chosen)
     counts = torch.tensor([0, *(len(c) for c in chosen)], device=points.device)
     offsets = counts.cumsum(0)
     position = points[source]
-    starts = [own.start for own in below_rows]
-    neighbours, interpolations = [], []
-    for i, own in enumerate(below_rows):
-        centres = points[chosen[i]]
-        neighbours.append(ball_query(below[own], centres, config.radius, config.neighbours, below_grids[i]))
-        interpolations.append(three_nearest(centres, below[own]))
+    starts = [own.start for own in below.rows]
+    neighbours, interpolations, buckets = [], [], []
+    for i, own in enumerate(below.rows):
+        centres, given = points[chosen[i]], below.points[own]
+        parts = point_buckets(centres)
+        neighbours.append(ball_query(given, centres, config.radius, config.neighbours, below.grids[i]))
+        interpolations.append(three_nearest(centres, given, parts, below.buckets[i]))
+        buckets.append(parts)
     ahead = offsets.tolist()
-    return Level(
+    level = Level(
         points=position,
         source=source,
         below=source if first else _first_rows(chosen, starts),
@@ -107,6 +126,7 @@ def _level(
             torch.cat([part.weights for part in interpolations]),
         ),
     )
+    return level, buckets
 
 
 def _first_rows(chosen: list[torch.Tensor], starts: list[int]) -> torch.Tensor:

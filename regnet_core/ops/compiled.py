@@ -13,6 +13,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def compiled(function: Function) -> Function:
     """Compile the function at its first call; later processes take it from the cache.
 
+    Division by 0 gives infinity or NaN, as numpy's does: a loop that could raise at every turn would be done number by
+    number.
+
     numba keeps the cache beside the source file or in the user's home. Where it can write to neither (a read-only
     installation, a service without a home), each process compiles anew, which takes some seconds.
 
@@ -29,12 +32,13 @@ def compiled_with_any_order(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
+    options = {"nogil": True, "error_model": "numpy", **options}
     try:
-        return cast(Function, njit(nogil=True, cache=True, **options)(function))
+        return cast(Function, njit(cache=True, **options)(function))
     except RuntimeError:  # numba's way to say that no locator finds a place for the cache
-        return cast(Function, njit(nogil=True, **options)(function))
+        return cast(Function, njit(**options)(function))
 
 
 def inlined(function: Function) -> Function:
     """Make the function part of every compiled function that calls it; it has no cache of its own."""
-    return cast(Function, njit(nogil=True, inline="always")(function))
+    return cast(Function, njit(nogil=True, error_model="numpy", inline="always")(function))

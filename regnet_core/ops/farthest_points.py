@@ -6,25 +6,25 @@ all levels of a PointNet++ come from one call: each level takes the first ones o
 
 from __future__ import annotations
 
-import fpsample
 import numpy as np
 import torch
 
 from regnet_core.errors import InvalidInputError
+from regnet_core.ops.buckets import GROUP, SIZE, Buckets, gap_to_box, point_buckets
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 
-_TREE_HEIGHT = 6
-"""Height of fpsample's tree of buckets, measured the fastest for 25600 points; the result does not depend on it."""
-_FEW = 512
-"""Clouds of up to so many points are sampled without buckets, which need more points than 2 ** height."""
 
+def farthest_points(points: torch.Tensor, count: int, buckets: Buckets | None = None) -> torch.Tensor:
+    """The indices of min(count, N) farthest points of a cloud, in the order drawn -> int64; the first one is 0.
 
-def farthest_points(points: torch.Tensor, count: int) -> torch.Tensor:
-    """The indices of min(count, N) farthest points of (N, 3), in the order drawn -> int64.
+    Of points that are equally far the first one in the cloud is drawn. A cloud with fewer than ``count`` different
+    points gives some of them again.
 
-    The first one is the same at each call, but which one it is differs between devices: fpsample starts at a point that
-    its tree happens to sort first, whatever ``start_idx`` says.
-    A cloud with fewer than ``count`` different points gives some of them again.
+    Args:
+        points: (N, 3) [m].
+        count: how many.
+        buckets: of the points, from ``point_buckets``, where there are some already.
 
     Raises:
         InvalidInputError: the count is negative, or points are not (N, 3).
@@ -37,7 +37,7 @@ def farthest_points(points: torch.Tensor, count: int) -> torch.Tensor:
     if count == 0:
         return torch.zeros(0, dtype=torch.int64, device=points.device)
     if points.device.type == "cpu":
-        return _sampled_on_cpu(points.detach(), count)
+        return _sampled_on_cpu(points.detach(), count, buckets)
     if has_kernels(points):
         from regnet_core.ops.gpu.farthest_points import farthest_points_on_gpu
 
@@ -45,13 +45,10 @@ def farthest_points(points: torch.Tensor, count: int) -> torch.Tensor:
     return farthest_points_in_torch(points.detach(), count)
 
 
-def _sampled_on_cpu(points: torch.Tensor, count: int) -> torch.Tensor:
-    array = np.ascontiguousarray(points.numpy(), np.float32)
-    if len(array) <= _FEW:
-        drawn = fpsample.fps_sampling(array, count, start_idx=0)
-    else:
-        drawn = fpsample.bucket_fps_kdline_sampling(array, count, h=_TREE_HEIGHT, start_idx=0)
-    return torch.from_numpy(np.asarray(drawn, dtype=np.int64))
+def _sampled_on_cpu(points: torch.Tensor, count: int, buckets: Buckets | None) -> torch.Tensor:
+    drawn = np.empty(count, np.int64)
+    _draw(buckets or point_buckets(points), points.float().numpy(), drawn)
+    return torch.from_numpy(drawn)
 
 
 def farthest_points_in_torch(points: torch.Tensor, count: int, start: int = 0) -> torch.Tensor:
@@ -64,3 +61,46 @@ def farthest_points_in_torch(points: torch.Tensor, count: int, start: int = 0) -
         nearest = torch.minimum(nearest, (points - last).square().sum(dim=1))
         drawn[i] = nearest.argmax()
     return drawn
+
+
+@compiled
+def _draw(buckets, points, drawn):  # type: ignore[no-untyped-def]
+    """Only in buckets that have points farther from all drawn ones than from the last one does anything change."""
+    count, groups = len(buckets.rows), len(buckets.group_lower)
+    infinity, zero = np.float32(np.inf), np.float32(0.0)
+    # Squared distances to what has been drawn: of each point, and the farthest of each bucket and each group.
+    nearest = np.full((count, SIZE), infinity)
+    farthest, farthest_of_group = np.full(count, infinity), np.full(groups, infinity)
+    # The bits of numbers that are not below 0 are in the order of the numbers, and the largest of several whole
+    # numbers is found at a time.
+    nearest_bits, farthest_bits = nearest.view(np.int32), farthest.view(np.int32)
+    last = 0
+    for n in range(len(drawn)):
+        drawn[n] = last
+        x, y, z = points[last, 0], points[last, 1], points[last, 2]
+        top = zero
+        for g in range(groups):
+            if gap_to_box(buckets.group_lower, buckets.group_upper, g, x, y, z) < farthest_of_group[g]:
+                best = zero
+                for b in range(g * GROUP, min((g + 1) * GROUP, count)):
+                    if gap_to_box(buckets.lower, buckets.upper, b, x, y, z) < farthest[b]:
+                        px, py, pz = buckets.points[b, 0], buckets.points[b, 1], buckets.points[b, 2]
+                        known, bits, most = nearest[b], nearest_bits[b], np.int32(0)
+                        for i in range(SIZE):
+                            dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
+                            squared, before = dx * dx + dy * dy + dz * dz, known[i]
+                            known[i] = squared if squared < before else before
+                            own = bits[i]
+                            most = own if own > most else most
+                        farthest_bits[b] = most
+                    best = max(best, farthest[b])
+                farthest_of_group[g] = best
+            top = max(top, farthest_of_group[g])
+        last = len(points)
+        for g in range(groups):
+            if farthest_of_group[g] == top:
+                for b in range(g * GROUP, min((g + 1) * GROUP, count)):
+                    if farthest[b] == top:
+                        for i in range(SIZE):
+                            if nearest[b, i] == top:
+                                last = min(last, buckets.rows[b, i])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +9,10 @@ import torch
 from torch.nn import functional
 
 from regnet_core.errors import InvalidInputError
+from regnet_core.ops.buckets import SIZE, Buckets, near_bucket, point_buckets
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import build_grid, cell_range
 
 _CLOSEST = 1e-10
 """Squared distances below this count as this much [m2]: a point of its own gets all the weight."""
@@ -34,28 +33,36 @@ class Interpolation(NamedTuple):
         return Interpolation(self.indices.to(device), self.weights.to(device))
 
 
-def three_nearest(points: torch.Tensor, queries: torch.Tensor) -> Interpolation:
+def three_nearest(
+    points: torch.Tensor,
+    queries: torch.Tensor,
+    point_parts: Buckets | None = None,
+    query_parts: Buckets | None = None,
+) -> Interpolation:
     """The interpolation from points (N, 3) to queries (Q, 3) of one cloud; with N < 3 some weights are 0.
+
+    Args:
+        points: (N, 3) [m].
+        queries: (Q, 3) [m].
+        point_parts: the points in buckets (``point_buckets``), where they are already.
+        query_parts: the queries in buckets.
 
     Raises:
         InvalidInputError: there are queries but no points.
     """
     if len(points) == 0 and len(queries) > 0:
         raise InvalidInputError("interpolation needs at least one point to take values from")
-    indices, squared = _search_on(points)(points.detach(), queries.detach())
-    weights = 1.0 / squared.clamp(min=_CLOSEST)
-    return Interpolation(indices, (weights / weights.sum(dim=1, keepdim=True)).float())
-
-
-def _search_on(points: torch.Tensor) -> Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]:
-    """What searches on the device of the points."""
+    points, queries = points.detach(), queries.detach()
     if points.device.type == "cpu":
-        return three_nearest_on_cpu
-    if has_kernels(points):
+        indices, squared = three_nearest_on_cpu(points, queries, point_parts, query_parts)
+    elif has_kernels(points):
         from regnet_core.ops.gpu.nearest import three_nearest_on_gpu
 
-        return three_nearest_on_gpu
-    return three_nearest_in_torch
+        indices, squared = three_nearest_on_gpu(points, queries)
+    else:
+        indices, squared = three_nearest_in_torch(points, queries)
+    weights = 1.0 / squared.clamp(min=_CLOSEST)
+    return Interpolation(indices, (weights / weights.sum(dim=1, keepdim=True)).float())
 
 
 def interpolate(features: torch.Tensor, how: Interpolation) -> torch.Tensor:
@@ -64,21 +71,24 @@ def interpolate(features: torch.Tensor, how: Interpolation) -> torch.Tensor:
     return functional.embedding_bag(how.indices, features, mode="sum", per_sample_weights=weights)
 
 
-def three_nearest_on_cpu(points: torch.Tensor, queries: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Indices (Q, 3) and squared distances (Q, 3) [m2], nearest first; distances are infinite where N < 3."""
-    p, q = points.numpy().astype(np.float64), queries.numpy().astype(np.float64)
-    indices, squared = np.zeros((len(q), 3), np.int64), np.full((len(q), 3), np.inf)
-    if len(q):
-        reach = _usual_reach(p, q)
-        grid = build_grid(p, reach)
+def three_nearest_on_cpu(
+    points: torch.Tensor,
+    queries: torch.Tensor,
+    point_parts: Buckets | None = None,
+    query_parts: Buckets | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Indices (Q, 3) and squared distances (Q, 3) [m2], nearest first; distances are infinite where N < 3.
 
-        def run(start: int, stop: int) -> None:
-            _search(
-                q, reach, grid.points, grid.order, grid.start, grid.origin, grid.shape, grid.cell,
-                start, stop, indices, squared,
-            )  # fmt: skip
-
-        for_each_range(run, len(q), least=512)
+    Of equally near points the first one counts as nearer.
+    """
+    indices, squared = np.zeros((len(queries), 3), np.int64), np.full((len(queries), 3), np.inf, np.float32)
+    if len(queries):
+        given, asked = point_parts or point_buckets(points), query_parts or point_buckets(queries)
+        assert asked is not None  # the queries are on a CPU
+        reach = _usual_reach(points.float().numpy(), queries.float().numpy())
+        for_each_range(
+            lambda start, stop: _search(asked, given, reach, start, stop, indices, squared), len(asked.rows), least=16
+        )
     return torch.from_numpy(indices), torch.from_numpy(squared)
 
 
@@ -98,52 +108,58 @@ def three_nearest_in_torch(points: torch.Tensor, queries: torch.Tensor) -> tuple
 
 
 def _usual_reach(points: np.ndarray, queries: np.ndarray) -> float:
-    """A radius within which most queries have three points, from a few of the queries [m]."""
+    """A radius within which nearly all queries have three points, from a few of the queries [m]."""
     some = queries[:: max(1, len(queries) // 12)][:12]
     squared = ((some[:, None] - points[None]) ** 2).sum(axis=-1)
     k = min(2, len(points) - 1)
     third = np.sqrt(np.partition(squared, k, axis=1)[:, k])
-    return float(max(1.3 * np.quantile(third, 0.8), 1e-4))
+    return float(max(1.6 * np.quantile(third, 0.8), 1e-4))
 
 
 @compiled
-def _search(queries, reach, points, order, starts, origin, shape, cell, begin, end, indices, squared):  # type: ignore[no-untyped-def]
-    most = min(3, len(points))
-    span = 0.0
-    for a in range(3):
-        span = max(span, shape[a] * cell)
-    for q in range(begin, end):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        away = 0.0
-        for a in range(3):
-            away = max(away, max(origin[a] - queries[q, a], queries[q, a] - origin[a] - shape[a] * cell))
-        radius = reach + max(away, 0.0)
+def _search(queries, points, usual, begin, end, indices, squared):  # type: ignore[no-untyped-def]
+    most = min(3, points.count)
+    places = np.empty(points.count + 1, np.int32)
+    rows, at = np.empty(points.count, np.int32), np.empty((3, points.count), np.float32)
+    near, nearest = np.empty((3, SIZE), np.float32), np.empty((3, SIZE), np.int32)
+    x, y, z = at[0], at[1], at[2]
+    d0, d1, d2 = near[0], near[1], near[2]
+    n0, n1, n2 = nearest[0], nearest[1], nearest[2]
+    for b in range(begin, end):
+        qx, qy, qz = queries.points[b, 0], queries.points[b, 1], queries.points[b, 2]
+        reach = usual
         while True:
-            a0 = a1 = a2 = np.inf
-            n0 = n1 = n2 = len(order)
-            i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
-            j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
-            k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
-            if k1 >= k0:
-                for i in range(i0, i1 + 1):
-                    for j in range(j0, j1 + 1):
-                        row = (i * shape[1] + j) * shape[2]
-                        for p in range(starts[row + k0], starts[row + k1 + 1]):
-                            dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                            d, n = dx * dx + dy * dy + dz * dz, order[p]
-                            # Of equally near points the first one in the cloud counts as nearer.
-                            if d < a2 or (d == a2 and n < n2):
-                                a2, n2 = d, n
-                                if a2 < a1 or (a2 == a1 and n2 < n1):
-                                    a1, a2, n1, n2 = a2, a1, n2, n1
-                                    if a1 < a0 or (a1 == a0 and n1 < n0):
-                                        a0, a1, n0, n1 = a1, a0, n1, n0
-            last = a2 if most == 3 else (a1 if most == 2 else a0)
-            if last <= radius * radius or radius > 4.0 * (span + max(away, 0.0)):
+            n = near_bucket(queries, b, points, np.float32(reach * reach), places)
+            if n < most:
+                reach *= 2.0
+                continue
+            for p in range(n):  # sorted by row: of equally near points the first one counts as nearer
+                c, i = places[p] // SIZE, places[p] % SIZE
+                row, e = points.rows[c, i], p - 1
+                while e >= 0 and rows[e] > row:
+                    rows[e + 1], x[e + 1], y[e + 1], z[e + 1] = rows[e], x[e], y[e], z[e]
+                    e -= 1
+                rows[e + 1] = row
+                x[e + 1], y[e + 1], z[e + 1] = points.points[c, 0, i], points.points[c, 1, i], points.points[c, 2, i]
+            near[:], nearest[:] = np.inf, 0
+            for p in range(n):
+                px, py, pz, row = x[p], y[p], z[p], rows[p]
+                for i in range(SIZE):
+                    dx, dy, dz = px - qx[i], py - qy[i], pz - qz[i]
+                    d, a0, a1, a2, m0, m1, m2 = (
+                        dx * dx + dy * dy + dz * dz, d0[i], d1[i], d2[i], n0[i], n1[i], n2[i]
+                    )  # fmt: skip
+                    d2[i] = a1 if d < a1 else (d if d < a2 else a2)
+                    n2[i] = m1 if d < a1 else (row if d < a2 else m2)
+                    d1[i] = a0 if d < a0 else (d if d < a1 else a1)
+                    n1[i] = m0 if d < a0 else (row if d < a1 else m1)
+                    d0[i] = d if d < a0 else a0
+                    n0[i] = row if d < a0 else m0
+            # Points farther than the reach from the bucket were not looked at.
+            if n == points.count or near[most - 1].max() <= reach * reach:
                 break
-            radius *= 2.0
-        squared[q, 0], indices[q, 0] = a0, n0
-        if most > 1:
-            squared[q, 1], indices[q, 1] = a1, n1
-        if most > 2:
-            squared[q, 2], indices[q, 2] = a2, n2
+            reach *= 2.0
+        for i in range(SIZE):
+            row = queries.rows[b, i]
+            for k in range(3):
+                indices[row, k], squared[row, k] = nearest[k, i], near[k, i]

@@ -1,4 +1,4 @@
-"""The best-fitting plane of each point's neighbourhood: normals, roughness and denoised positions."""
+"""The moments of each point's neighbourhood, and what follows from them: normals, roughness and denoised positions."""
 
 from __future__ import annotations
 
@@ -8,179 +8,186 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled, compiled_with_any_order
+from regnet_core.ops.buckets import SIZE, Buckets, in_buckets, near_bucket
+from regnet_core.ops.compiled import compiled, compiled_with_any_order, inlined
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import VoxelGrid, cell_range
+from regnet_core.ops.voxel_grid import bounds
+
+_SWEEPS = 4
+"""Of Jacobi's rotations: afterwards float32 has no digit left that would change."""
+_FAR = np.float32(1e6)
+"""Nothing is so far away [m]."""
+_TINY = np.float32(1e-30)
+"""What is divided by is at least this."""
 
 
 class LocalPlanes(NamedTuple):
-    """For each of Q query points."""
+    """For each of N points."""
 
     mean: Array
-    """(Q, 3): centroid of the neighbours [m]."""
+    """(N, 3): centroid of the neighbours [m]."""
     normal: Array
-    """(Q, 3): direction of least variance, of arbitrary sign."""
+    """(N, 3): direction of least variance, of arbitrary sign."""
     roughness: Array
-    """(Q,): standard deviation of the neighbours along the normal [m]."""
+    """(N,): standard deviation of the neighbours along the normal [m], to about 1e-4 of the radius."""
     neighbours: npt.NDArray[np.int64]
-    """(Q,): number of neighbours, the point itself included."""
+    """(N,): number of neighbours, the point itself included."""
 
 
-class LocalMoments(NamedTuple):
-    """For each of Q query points."""
-
-    neighbours: npt.NDArray[np.int64]
-    """(Q,): number of neighbours, the point itself included."""
-    mean: Array
-    """(Q, 3): centroid of the neighbours [m]."""
-    covariance: Array
-    """(Q, 3, 3) of the neighbours [m2]."""
+def local_planes(points: Array, radius: float) -> LocalPlanes:
+    """Fit a plane to the points (N, 3) within ``radius`` of each of them [m]."""
+    count = len(points)
+    made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.int64))
+    buckets, origin = _from_their_corner(points)
+    for_each_range(lambda a, z: _planes(buckets, origin, np.float32(radius), a, z, *made), len(buckets.rows), least=8)
+    return made
 
 
-def local_moments(grid: VoxelGrid, queries: Array, radius: float) -> LocalMoments:
-    """Mean and covariance of the grid's points within ``radius`` [m] of each query (Q, 3)."""
-    count = np.zeros(len(queries), np.int64)
-    mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
-
-    order = _order(grid, queries)
-
-    def run(start: int, stop: int) -> None:
-        _moments(
-            queries, order, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop,
-            count, mean, cov,
-        )  # fmt: skip
-
-    for_each_range(run, len(queries))
-    return LocalMoments(count, mean, cov)
+def local_covariances(points: npt.NDArray[np.floating], radius: float) -> npt.NDArray[np.float32]:
+    """(N, 3, 3) float32 [m2]: the covariance of the points (N, 3) within ``radius`` of each of them [m]."""
+    covariance = np.zeros((len(points), 3, 3), np.float32)
+    buckets, _ = _from_their_corner(points)
+    for_each_range(
+        lambda a, z: _covariances(buckets, np.float32(radius), a, z, covariance), len(buckets.rows), least=8
+    )
+    return covariance
 
 
-def local_planes(grid: VoxelGrid, queries: Array, radius: float) -> LocalPlanes:
-    """Fit a plane to the grid's points within ``radius`` [m] of each query (Q, 3)."""
-    count = np.zeros(len(queries), np.int64)
-    mean, cov = np.zeros((len(queries), 3)), np.zeros((len(queries), 3, 3))
-    normal, roughness = np.zeros((len(queries), 3)), np.zeros(len(queries))
-
-    order = _order(grid, queries)
-
-    def run(start: int, stop: int) -> None:
-        _moments(
-            queries, order, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop,
-            count, mean, cov,
-        )  # fmt: skip
-        _least_axes(cov, order, start, stop, normal, roughness)
-
-    for_each_range(run, len(queries))
-    return LocalPlanes(mean, normal, roughness, count)
-
-
-def _order(grid: VoxelGrid, queries: Array) -> npt.NDArray[np.int64]:
-    """In which order to answer queries (Q, 3): any will do; where they are the grid's points, cell by cell is fast."""
-    return grid.order if len(grid.order) == len(queries) else np.arange(len(queries))
+def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array]:
+    """Points in buckets, as seen from the lower corner of their bounding box, so that float32 loses little of where
+    they are; and that corner (3,)."""
+    if len(points) == 0:
+        return in_buckets(np.zeros((0, 3), np.float32)), np.zeros(3)
+    origin = np.asarray(bounds(np.ascontiguousarray(points))[0], np.float64)
+    return in_buckets((points - origin).astype(np.float32)), origin
 
 
 @compiled
-def _moments(queries, order, radius, points, starts, origin, shape, cell, begin, end, count, mean, cov):  # type: ignore[no-untyped-def]
-    """The points of the cells around a query are put in a row of their own, which the next query uses too if it is in
-    the same cell."""
-    room = 512
-    xs, ys, zs = np.empty(room), np.empty(room), np.empty(room)
-    cells, n = (-1, -1, -1, -1, -1, -1), 0
-    for place in range(begin, end):
-        q = order[place]
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
-        j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
-        k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
-        if k1 < k0:
-            continue
-        if (i0, i1, j0, j1, k0, k1) != cells:
-            cells, n = (i0, i1, j0, j1, k0, k1), 0
-            for i in range(i0, i1 + 1):
-                for j in range(j0, j1 + 1):
-                    row = (i * shape[1] + j) * shape[2]
-                    first, last = starts[row + k0], starts[row + k1 + 1]
-                    if n + last - first > room:
-                        room = 2 * (n + last - first)
-                        xs, ys, zs = _longer(xs, n, room), _longer(ys, n, room), _longer(zs, n, room)
-                    for p in range(first, last):
-                        xs[n], ys[n], zs[n] = points[p, 0], points[p, 1], points[p, 2]
-                        n += 1
-        m, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz = _sums(xs[:n], ys[:n], zs[:n], x, y, z, radius * radius)
-        count[q] = int(m)
-        if m == 0.0:
-            continue
-        mx, my, mz = sx / m, sy / m, sz / m
-        mean[q, 0], mean[q, 1], mean[q, 2] = x + mx, y + my, z + mz
-        cov[q, 0, 0] = sxx / m - mx * mx
-        cov[q, 1, 1] = syy / m - my * my
-        cov[q, 2, 2] = szz / m - mz * mz
-        cov[q, 0, 1] = cov[q, 1, 0] = sxy / m - mx * my
-        cov[q, 0, 2] = cov[q, 2, 0] = sxz / m - mx * mz
-        cov[q, 1, 2] = cov[q, 2, 1] = syz / m - my * mz
+def _planes(buckets, origin, radius, begin, end, mean, normal, roughness, neighbours):  # type: ignore[no-untyped-def]
+    places, at = _room(buckets.count)
+    sums = np.empty((19, SIZE), np.float32)
+    axes = sums[10:]
+    for b in range(begin, end):
+        _moments(buckets, b, radius, places, at, sums)
+        _turn_to_axes(sums[4:])
+        for i in range(min(SIZE, buckets.count - b * SIZE)):
+            row = buckets.rows[b, i]
+            neighbours[row] = int(sums[0, i])
+            least = 0 if sums[4, i] <= sums[5, i] else 1
+            least = least if sums[4 + least, i] <= sums[6, i] else 2
+            x, y, z = np.float64(axes[least, i]), np.float64(axes[3 + least, i]), np.float64(axes[6 + least, i])
+            length = np.sqrt(x * x + y * y + z * z)
+            normal[row, 0], normal[row, 1], normal[row, 2] = x / length, y / length, z / length
+            roughness[row] = np.sqrt(max(sums[4 + least, i], np.float32(0.0)))
+            for a in range(3):
+                mean[row, a] = origin[a] + buckets.points[b, a, i] + sums[1 + a, i]
 
 
 @compiled
-def _longer(values, n, room):  # type: ignore[no-untyped-def]
-    longer = np.empty(room)
-    longer[:n] = values[:n]
-    return longer
+def _covariances(buckets, radius, begin, end, covariance):  # type: ignore[no-untyped-def]
+    places, at = _room(buckets.count)
+    sums = np.empty((10, SIZE), np.float32)
+    for b in range(begin, end):
+        _moments(buckets, b, radius, places, at, sums)
+        for i in range(min(SIZE, buckets.count - b * SIZE)):
+            own = covariance[buckets.rows[b, i]]
+            own[0, 0], own[1, 1], own[2, 2] = sums[4, i], sums[5, i], sums[6, i]
+            own[0, 1] = own[1, 0] = sums[7, i]
+            own[0, 2] = own[2, 0] = sums[8, i]
+            own[1, 2] = own[2, 1] = sums[9, i]
+
+
+@compiled
+def _room(count):  # type: ignore[no-untyped-def]
+    """For the places and positions of all points, in full registers."""
+    return np.empty(count + 1, np.int32), np.empty((3, count + SIZE), np.float32)
+
+
+@compiled
+def _moments(buckets, b, radius, places, at, sums):  # type: ignore[no-untyped-def]
+    """Of the neighbourhoods of bucket ``b``: how many they have, their mean as seen from each point, and xx, yy, zz,
+    xy, xz, yz of their covariance -> (10, SIZE)."""
+    x, y, z = at[0], at[1], at[2]
+    n = near_bucket(buckets, b, buckets, radius * radius, places)
+    for p in range(n):
+        c, i = places[p] // SIZE, places[p] % SIZE
+        x[p], y[p], z[p] = buckets.points[c, 0, i], buckets.points[c, 1, i], buckets.points[c, 2, i]
+    full = -(-n // SIZE) * SIZE
+    x[n:full], y[n:full], z[n:full] = _FAR, _FAR, _FAR
+    for i in range(SIZE):
+        px, py, pz = buckets.points[b, 0, i], buckets.points[b, 1, i], buckets.points[b, 2, i]
+        found = _sums(x[:full], y[:full], z[:full], px, py, pz, radius * radius)
+        sums[0, i], sums[1, i], sums[2, i], sums[3, i] = found[0], found[1], found[2], found[3]
+        sums[4, i], sums[5, i], sums[6, i] = found[4], found[5], found[6]
+        sums[7, i], sums[8, i], sums[9, i] = found[7], found[8], found[9]
+    for i in range(SIZE):
+        share = np.float32(1.0) / sums[0, i]
+        mx, my, mz = share * sums[1, i], share * sums[2, i], share * sums[3, i]
+        sums[1, i], sums[2, i], sums[3, i] = mx, my, mz
+        sums[4, i] = share * sums[4, i] - mx * mx
+        sums[5, i] = share * sums[5, i] - my * my
+        sums[6, i] = share * sums[6, i] - mz * mz
+        sums[7, i] = share * sums[7, i] - mx * my
+        sums[8, i] = share * sums[8, i] - mx * mz
+        sums[9, i] = share * sums[9, i] - my * mz
 
 
 @compiled_with_any_order
 def _sums(xs, ys, zs, x, y, z, squared):  # type: ignore[no-untyped-def]
     """How many points are near enough, and the sums of their offsets and of the products of these."""
-    m = sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+    zero, one = np.float32(0.0), np.float32(1.0)
+    m = sx = sy = sz = sxx = syy = szz = sxy = sxz = syz = zero
     for p in range(len(xs)):
         dx, dy, dz = xs[p] - x, ys[p] - y, zs[p] - z
-        near = 1.0 if dx * dx + dy * dy + dz * dz <= squared else 0.0
+        near = one if dx * dx + dy * dy + dz * dz <= squared else zero
         m += near
         dx, dy, dz = near * dx, near * dy, near * dz
         sx += dx
         sy += dy
         sz += dz
         sxx += dx * dx
+        syy += dy * dy
+        szz += dz * dz
         sxy += dx * dy
         sxz += dx * dz
-        syy += dy * dy
         syz += dy * dz
-        szz += dz * dz
-    return m, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz
+    return m, sx, sy, sz, sxx, syy, szz, sxy, sxz, syz
 
 
 @compiled
-def _least_axes(tensors, order, begin, end, axis, root):  # type: ignore[no-untyped-def]
-    """Unit eigenvectors of the least eigenvalues of symmetric tensors, and the roots of these, by Jacobi rotations."""
-    a, v = np.empty((3, 3)), np.empty((3, 3))
-    for place in range(begin, end):
-        q = order[place]
-        size = 0.0
-        for i in range(3):
-            for j in range(3):
-                a[i, j] = tensors[q, i, j]
-                v[i, j] = 1.0 if i == j else 0.0
-                size += a[i, j] * a[i, j]
-        for _ in range(12):  # four or five are enough
-            if a[0, 1] * a[0, 1] + a[0, 2] * a[0, 2] + a[1, 2] * a[1, 2] <= 1e-30 * size:
-                break
-            for i in range(2):
-                for j in range(i + 1, 3):
-                    if a[i, j] == 0.0:
-                        continue
-                    theta = (a[j, j] - a[i, i]) / (2.0 * a[i, j])
-                    t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
-                    c = 1.0 / np.sqrt(t * t + 1.0)
-                    s = t * c
-                    k = 3 - i - j
-                    a[i, i], a[j, j] = a[i, i] - t * a[i, j], a[j, j] + t * a[i, j]
-                    a[i, k], a[j, k] = c * a[i, k] - s * a[j, k], s * a[i, k] + c * a[j, k]
-                    a[k, i], a[k, j] = a[i, k], a[j, k]
-                    a[i, j] = a[j, i] = 0.0
-                    for r in range(3):
-                        v[r, i], v[r, j] = c * v[r, i] - s * v[r, j], s * v[r, i] + c * v[r, j]
-        least = 0
-        for i in range(1, 3):
-            if a[i, i] < a[least, least]:
-                least = i
-        for r in range(3):
-            axis[q, r] = v[r, least]
-        root[q] = np.sqrt(max(a[least, least], 0.0))
+def _turn_to_axes(work):  # type: ignore[no-untyped-def]
+    """Jacobi's rotations, of SIZE symmetric tensors at a time.
+
+    ``work`` (15, SIZE) has xx, yy, zz, xy, xz, yz of the tensors, of which the first three become the eigenvalues and
+    the others next to nothing; then room for matrices, row after row, that have the unit eigenvectors as columns.
+    """
+    work[6:] = np.float32(0.0)
+    work[6], work[10], work[14] = np.float32(1.0), np.float32(1.0), np.float32(1.0)
+    for _ in range(_SWEEPS):
+        _rotate(work, 0, 1, 3, 4, 5)
+        _rotate(work, 0, 2, 4, 3, 5)
+        _rotate(work, 1, 2, 5, 3, 4)
+
+
+@inlined
+def _rotate(work, i, j, between, first_other, second_other):  # type: ignore[no-untyped-def]
+    """The rotation in the plane of axes ``i`` and ``j`` that brings the entry ``between`` them to 0; the other two
+    entries are those that they share with the third axis."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for e in range(SIZE):
+        entry = work[between, e]
+        difference, twice = work[j, e] - work[i, e], np.float32(2.0) * entry
+        t = twice / (np.sqrt(difference * difference + twice * twice) + _TINY + abs(difference))
+        t = t if difference >= zero else -t
+        c = one / np.sqrt(t * t + one)
+        s, change = t * c, t * entry
+        a, b = work[first_other, e], work[second_other, e]
+        ax, ay, az = work[6 + i, e], work[9 + i, e], work[12 + i, e]
+        bx, by, bz = work[6 + j, e], work[9 + j, e], work[12 + j, e]
+        work[i, e] -= change
+        work[j, e] += change
+        work[between, e] = zero
+        work[first_other, e], work[second_other, e] = c * a - s * b, s * a + c * b
+        work[6 + i, e], work[6 + j, e] = c * ax - s * bx, s * ax + c * bx
+        work[9 + i, e], work[9 + j, e] = c * ay - s * by, s * ay + c * by
+        work[12 + i, e], work[12 + j, e] = c * az - s * bz, s * az + c * bz

@@ -7,12 +7,10 @@ bends or the points are few.
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 
 from regnet_core.ops.gpu import has_kernels
-from regnet_core.ops.local_planes import local_moments
-from regnet_core.ops.voxel_grid import build_grid
+from regnet_core.ops.local_planes import local_covariances
 
 SHAPE_CHANNELS = 6
 """xx, yy, zz, xy, xz, yz of the tensor."""
@@ -30,8 +28,7 @@ def local_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
     without neighbours 0.
     """
     if points.device.type == "cpu":
-        at = points.detach().numpy().astype(np.float64)
-        covariance = torch.from_numpy(local_moments(build_grid(at, radius), at, radius).covariance)
+        covariance = torch.from_numpy(local_covariances(points.detach().numpy(), radius))
     elif has_kernels(points):
         from regnet_core.ops.gpu.moments import covariance_on_gpu
 
