@@ -58,10 +58,9 @@ CLOUD_STAGES = (
     Stage(
         "validation",
         "preparation",
-        "shapes, types, and which points are finite and near enough; the preprocessor's also transforms and crops",
+        "shapes, types, and which points are finite, near enough and in the workspace; the preprocessor also transforms",
         (
             "regnet_core.pointcloud:place_points",
-            "regnet_core.pointcloud:validate_points",
             "regnet_core.pointcloud:validate_colors",
             "regnet_core.pointcloud:as_points",
         ),
@@ -96,8 +95,8 @@ SCENE_STAGES = (
     Stage(
         "crop",
         "preparation",
-        "to the workspace, and to what lies near objects",
-        ("regnet_core.pointcloud:crop", "regnet_core.pointcloud:surroundings"),
+        "to what lies near objects",
+        ("regnet_core.pointcloud:surroundings",),
         needed=stage.maybe,
     ),
     Stage(

@@ -6,18 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
 from regnet_core.geometry import Array, Mask
-from regnet_core.ops.cells import cells_below
+from regnet_core.ops.cells import bounds_of_cells, cells_below, flat_cells
 from regnet_core.ops.outline import corner_candidates, outside
 
 Index = npt.NDArray[np.int64]
 
 _DENSE = 4_000_000
-"""Up to so many cells are marked in an array; more are sorted."""
+"""Up to so many cells are marked on a map; more are sorted."""
 _STRIDE = np.int64(1) << 31
 """Combines two cell indices into one key; points within 1000 m have far smaller indices."""
 
@@ -47,11 +48,32 @@ class Clusters(NamedTuple):
 
 
 def cluster(points: Array, cell: float = 0.02) -> Clusters:
-    """Group points (N, 3) whose horizontal cells of edge length ``cell`` [m] touch, at a side or a corner."""
+    """Group points (N, 3) whose horizontal cells of edge length ``cell`` [m] touch, at a side or a corner.
+
+    Clusters are numbered by their first cell, the one of least x and, among those, of least y.
+    """
     if len(points) == 0:
         return Clusters(np.zeros(0, np.int64), np.zeros(0, np.int64))
     index = cells_below(points, cell)
-    keys, inverse = _distinct(index[:, 0], index[:, 1])
+    low, high = bounds_of_cells(index)
+    across = int(high[1] - low[1]) + 1
+    count = (int(high[0] - low[0]) + 1) * across
+    label = _on_a_map(index, low, across, count) if count <= _DENSE else _by_keys(index)
+    return Clusters(label, np.bincount(label))
+
+
+def _on_a_map(index: Index, low: Index, across: int, count: int) -> Index:
+    """(N,): the cluster of the points in cells (N, 2) of a map that begins at the cell ``low``."""
+    flat = flat_cells(index, low, across)
+    seen = np.zeros(count, np.bool_)
+    seen[flat] = True
+    labels, _ = ndimage.label(seen.reshape(-1, across), np.ones((3, 3)))
+    return labels.reshape(-1)[flat].astype(np.int64) - 1
+
+
+def _by_keys(index: Index) -> Index:
+    """The same for cells on too large a map."""
+    keys, inverse = np.unique(index[:, 0] * _STRIDE + index[:, 1], return_inverse=True)
     rows, columns = [], []
     for step in (np.int64(1), _STRIDE - 1, _STRIDE, _STRIDE + 1):
         found = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
@@ -60,24 +82,7 @@ def cluster(points: Array, cell: float = 0.02) -> Clusters:
         columns.append(found[touching])
     row, column = np.concatenate(rows), np.concatenate(columns)
     graph = coo_matrix((np.ones(len(row), np.int8), (row, column)), shape=(len(keys), len(keys)))
-    label = connected_components(graph, directed=False)[1].astype(np.int64)[inverse]
-    return Clusters(label, np.bincount(label))
-
-
-def _distinct(i: Index, j: Index) -> tuple[Index, Index]:
-    """The keys i * _STRIDE + j of the cells that points (N,) are in, rising, and which of them is each point's (N,)."""
-    low_i, low_j = i.min(), j.min()
-    across = int(j.max() - low_j) + 1
-    count = (int(i.max() - low_i) + 1) * across
-    if count > _DENSE:
-        keys, inverse = np.unique(i * _STRIDE + j, return_inverse=True)
-        return keys, inverse.reshape(-1)
-    flat = (i - low_i) * across + (j - low_j)
-    number = np.zeros(count, np.int64)
-    number[flat] = 1
-    cells = np.flatnonzero(number)
-    number[cells] = np.arange(len(cells))
-    return (cells // across + low_i) * _STRIDE + (cells % across + low_j), number[flat]
+    return connected_components(graph, directed=False)[1].astype(np.int64)[inverse.reshape(-1)]
 
 
 def structure(

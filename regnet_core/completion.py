@@ -10,12 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from regnet_core.geometry import Array, Plane
 from regnet_core.ops.cells import highest
 from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
 from regnet_core.ops.nearby import near_any
+from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
 
 _MAX_VOXELS = 6_000_000
@@ -74,7 +74,7 @@ def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: fl
     nx, ny = np.round((upper[:2] - low) / cell).astype(np.int64) + 1 + pad
     levels = int(np.ceil(height.max() / cell)) + 1 + pad
     top = highest(points, height, low, cell, (int(nx), int(ny)))
-    top = np.where(top > 0, top, ndimage.grey_closing(top, size=(5, 5)))
+    top = np.where(top > 0, top, closed(top, 2))
     z = (np.arange(-pad, levels) + 0.5) * cell
     return SolidModel(smoothed_columns(top, z, smoothing, _REACH), np.array([low[0], low[1], z[0]]), cell)
 

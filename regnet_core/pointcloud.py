@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
@@ -15,6 +14,7 @@ from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import first_in_voxels, moved_rows, rows_in_box, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
+from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
 
 Index = npt.NDArray[np.int64]
@@ -25,6 +25,8 @@ MAX_COORDINATE = 1000.0
 
 _CRATE, _TABLE = 0.1, 0.25
 """A level surface of less than the first area [m2] is the top of an object, one of more than the second is none."""
+_PROBES = 128
+"""Points whose neighbours are counted to know how dense a cloud is."""
 _CARRIED = 10
 """So many of the sampled points above a plane are something that stands on it."""
 
@@ -101,8 +103,8 @@ def as_points(points: npt.ArrayLike) -> npt.NDArray[Any]:
     return array
 
 
-def validate_colors(colors: npt.ArrayLike | None, count: int) -> npt.NDArray[np.float64] | None:
-    """Colours (N, 3), integers 0..255 or floats 0..1, as floats 0..1; NaN becomes 0.
+def validate_colors(colors: npt.ArrayLike | None, count: int) -> npt.NDArray[Any] | None:
+    """A user's colours (N, 3), integers 0..255 or floats 0..1, as they are; ``colors_as_floats`` makes one kind of them.
 
     Raises:
         CloudError: the shape does not match the points, or a value is out of range.
@@ -117,12 +119,18 @@ def validate_colors(colors: npt.ArrayLike | None, count: int) -> npt.NDArray[np.
         raise CloudError(
             f"colors must have shape ({count}, 3), one row for each point, got {array.shape} {array.dtype}"
         )
-    scaled = array / 255.0 if array.dtype.kind in "iu" else np.nan_to_num(array.astype(np.float64), posinf=2.0)
-    if scaled.size and not (scaled.min() >= 0.0 and scaled.max() <= 1.0):
-        raise CloudError(
-            f"colors must be integers in 0..255 or floats in 0..1, got values from {array.min()} to {array.max()}"
-        )
-    return scaled
+    if array.size and array.dtype != np.uint8:
+        scaled = colors_as_floats(array)
+        if not (scaled.min() >= 0.0 and scaled.max() <= 1.0):
+            raise CloudError(
+                f"colors must be integers in 0..255 or floats in 0..1, got values from {array.min()} to {array.max()}"
+            )
+    return array
+
+
+def colors_as_floats(colors: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Colours (N, 3), integers 0..255 or floats 0..1, as floats 0..1; NaN becomes 0."""
+    return colors / 255.0 if colors.dtype.kind in "iu" else np.nan_to_num(colors.astype(np.float64), posinf=2.0)
 
 
 def validate_viewpoint(viewpoint: npt.ArrayLike | None) -> Array | None:
@@ -191,7 +199,7 @@ def neighbourhood_radius(
     """The radius [m] that holds about ``neighbours`` points of the cloud, between ``low`` and ``high``."""
     if len(points) <= neighbours:
         return high
-    probes = points[random_sample(len(points), 400, rng)]
+    probes = points[random_sample(len(points), _PROBES, rng)]
     distance = kth_distance(points, probes, neighbours, max(low, 0.2 * high), 2.0 * high)
     return float(np.clip(np.median(distance), low, high))
 
@@ -249,6 +257,8 @@ def _supporting(planes: list[Plane], points: Array, tolerance: float) -> Plane |
     if not large:
         height = planes[0].height(points)
         return planes[0] if (height < -3 * tolerance).sum() <= (np.abs(height) < tolerance).sum() else None
+    if len(large) == 1:
+        return large[0][0]
     large.sort(key=lambda pair: float(pair[0].height(middle)))  # the highest first
     carried = [_carried(plane, points, tolerance) for plane, _ in large]
     for (plane, area), count in zip(large, carried, strict=True):
@@ -268,8 +278,7 @@ def _carried(plane: Plane, points: Array, tolerance: float, reach: float = 0.5, 
     footprint = np.zeros(shape, bool)
     on_plane = index[np.abs(height) < tolerance]
     footprint[on_plane[:, 0], on_plane[:, 1]] = True
-    padded = ndimage.binary_closing(np.pad(footprint, 6), np.ones((3, 3)), iterations=5)
-    footprint = padded[6:-6, 6:-6]
+    footprint = closed(np.pad(footprint, 6), 5)[6:-6, 6:-6]
     above = index[(height > 2 * tolerance) & (height < reach)]
     return int(footprint[above[:, 0], above[:, 1]].sum())
 
@@ -327,11 +336,13 @@ def _area(points: Array, cell: float = 0.03) -> float:
 
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:
-    """Least squares on the inliers, a few times."""
+    """Least squares on the inliers, a few times or until they stay the same."""
+    before = None
     for _ in range(4):
         inliers = slab_moments(points, np.asarray(plane.normal), plane.offset, tolerance)
-        if inliers.points < 10:
+        if inliers.points < 10 or inliers.points == before:
             break
+        before = inliers.points
         normal = np.linalg.eigh(inliers.covariance)[1][:, 0]
         normal = normal * np.sign(normal[2])
         plane = Plane((float(normal[0]), float(normal[1]), float(normal[2])), float(normal @ inliers.mean))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,12 @@ from regnet_core.geometry import Array, Box, Mask, Plane, normalised
 from regnet_core.ops.parallel import beside
 from regnet_core.pointcloud import (
     Index,
-    crop,
+    colors_as_floats,
     estimate_normals,
     fit_support_plane,
     neighbourhood_radius,
     orient_normals,
-    validate_points,
+    place_points,
     voxel_downsample,
 )
 from regnet_core.report import StepRecorder
@@ -96,8 +96,6 @@ class Scene:
     """(N, 3): every valid point in the workspace, thinned by voxels [m]."""
     source: Index
     """(N,): their rows in the user's array."""
-    colors: npt.NDArray[np.float64] | None
-    """(N, 3) in [0, 1], or None."""
     plane: Plane | None
     """The support plane, if one was found."""
     seen: Array
@@ -106,6 +104,13 @@ class Scene:
     """(K, 3): points of walls, people, furniture, which are only in the way [m]."""
     completed: Callable[[], Completed] = field(repr=False)
     """Waits for the rest."""
+    given_colors: npt.NDArray[Any] | None = field(repr=False)
+    """(M, 3): the user's colours, a row for each row of the user's array, or None."""
+
+    @property
+    def colors(self) -> npt.NDArray[np.float64] | None:
+        """(N, 3) in [0, 1], or None."""
+        return None if self.given_colors is None else colors_as_floats(self.given_colors[self.source])
 
     @property
     def objects(self) -> Surface:
@@ -129,7 +134,7 @@ class Scene:
 
 def prepare_scene(
     points: npt.ArrayLike,
-    colors: npt.NDArray[np.float64] | None,
+    colors: npt.NDArray[Any] | None,
     config: SceneConfig,
     rng: np.random.Generator,
     recorder: StepRecorder,
@@ -139,30 +144,30 @@ def prepare_scene(
 
     Args:
         points: the cloud in a gravity-aligned frame.
-        colors: (M, 3) in [0, 1], or None.
+        colors: (M, 3), integers 0..255 or floats 0..1, or None.
         config: how to do it.
         rng: source of randomness.
         recorder: receives the counts and times of the steps, and warnings, the last of them before ``completed`` ends.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
-    with recorder.step("valid points") as step:
-        valid, source = validate_points(points)
-        step.kept, step.rejected = len(valid), len(np.asarray(points)) - len(valid)
+    with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
+        usable = place_points(points, np.eye(4), config.workspace)
+        step.kept, step.rejected = usable.valid, len(np.asarray(points)) - usable.valid
+    cloud, source = usable.points, usable.rows
     with recorder.step("points in workspace") as step:
-        inside = np.arange(len(valid)) if config.workspace is None else crop(valid, config.workspace)
-        step.kept, step.rejected = len(inside), len(valid) - len(inside)
+        step.kept, step.rejected = len(cloud), usable.valid - len(cloud)
     with recorder.step("points after thinning") as step:
-        thinned = inside[_thinned(valid[inside], config)]
-        step.kept, step.rejected = len(thinned), len(inside) - len(thinned)
-    cloud, source = valid[thinned], source[thinned]
+        thinned = _thinned(cloud, config)
+        step.kept, step.rejected = len(thinned), len(cloud) - len(thinned)
+    if len(thinned) < len(cloud):
+        cloud, source = cloud[thinned], source[thinned]
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
     warnings = recorder.warnings
     completed = beside(lambda: _complete(found, cloud, plane, config, viewpoint, warnings))
-    colors = None if colors is None else colors[source]
-    return Scene(cloud, source, colors, plane, found.points, found.structure, completed)
+    return Scene(cloud, source, plane, found.points, found.structure, completed, colors)
 
 
 class _Found(NamedTuple):

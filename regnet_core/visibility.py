@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
 from regnet_core.ops.cells import mark_nearest
+from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
 
 _MAX_CELLS = 4_000_000
@@ -81,4 +81,4 @@ def unseen_ground(plane_points: Array, object_points: Array, cell: float = 0.006
     seen = np.zeros(shape, bool)
     for points in parts:
         mark_nearest(points, low, cell, seen)
-    return UnseenGround(~ndimage.binary_closing(seen, np.ones((3, 3)), iterations=1), low, cell)
+    return UnseenGround(~closed(seen, 1), low, cell)

@@ -18,6 +18,26 @@ def cells_below(points: npt.NDArray[Any], cell: float) -> npt.NDArray[np.int64]:
     return index
 
 
+@compiled
+def bounds_of_cells(index):  # type: ignore[no-untyped-def]
+    """The least and the largest cell (2,) along each axis of cells (N, 2), N > 0."""
+    i0 = i1 = index[0, 0]
+    j0 = j1 = index[0, 1]
+    for p in range(len(index)):
+        i0, i1 = min(i0, index[p, 0]), max(i1, index[p, 0])
+        j0, j1 = min(j0, index[p, 1]), max(j1, index[p, 1])
+    return np.array([i0, j0]), np.array([i1, j1])
+
+
+@compiled
+def flat_cells(index, low, across):  # type: ignore[no-untyped-def]
+    """(N,): the number of each cell (N, 2) on a map that begins at the cell ``low`` and is ``across`` cells wide."""
+    flat = np.empty(len(index), np.int64)
+    for p in range(len(index)):
+        flat[p] = (index[p, 0] - low[0]) * across + index[p, 1] - low[1]
+    return flat
+
+
 def mark_nearest(points: npt.NDArray[Any], low: Array, cell: float, marked: npt.NDArray[np.bool_]) -> None:
     """Mark, in (nx, ny), the cell whose centre is nearest to each point (N, >= 2); all must be on the map.
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
 
 
@@ -58,11 +58,14 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
         level: what the surface lies at.
         first: voxels below this index along z are left out.
     """
-    counts = np.zeros(len(density) + 1, np.int64)
-    for_each_range(lambda a, b: _count_surface(density, level, first, a, b, counts), len(density), least=4)
+    nx, ny, nz = density.shape
+    solid, counts = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8), np.zeros(nx + 1, np.int64)
+    surface = np.empty((nx, ny, nz), np.uint8)
+    for_each_range(lambda a, b: _mark_solid(density, level, a, b, solid), nx, least=4)
+    for_each_range(lambda a, b: _mark_surface(solid, first, a, b, surface, counts), nx, least=4)
     start = np.cumsum(counts)
     found = np.empty((start[-1], 3), np.int64)
-    for_each_range(lambda a, b: _list_surface(density, level, first, start, a, b, found), len(density), least=4)
+    for_each_range(lambda a, b: _list_marked(surface, start, a, b, found), nx, least=4)
     return found
 
 
@@ -175,45 +178,48 @@ def _along_x(across, some, weights, begin, end, density):  # type: ignore[no-unt
                         row[z] += weight * column[z]
 
 
-@inlined
-def _surface_of_row(density, level, x, y, flags):  # type: ignore[no-untyped-def]
-    """Whether each voxel (nz,) of a column is one of the surface; false for all where the column does not reach it."""
-    nx, ny, nz = density.shape
-    row, outer = density[x, y], x == 0 or y == 0 or x == nx - 1 or y == ny - 1
-    left, right = density[max(x - 1, 0), y], density[min(x + 1, nx - 1), y]
-    near, far = density[x, max(y - 1, 0)], density[x, min(y + 1, ny - 1)]
-    for z in range(nz):
-        # Arithmetic on truth values has no branches.
-        sides = (left[z] > level) & (right[z] > level) & (near[z] > level) & (far[z] > level)
-        flags[z] = (row[z] > level) & ((not sides) | outer)
-    for z in range(nz):
-        ends = z == 0 or z == nz - 1
-        if row[z] > level and (ends or not (row[z - 1] > level and row[z + 1] > level)):
-            flags[z] = True
+@compiled
+def _mark_solid(density, level, begin, end, solid):  # type: ignore[no-untyped-def]
+    """Which voxels are above the level, with a border of those that are not."""
+    for x in range(begin, end):
+        for y in range(density.shape[1]):
+            row, marked = density[x, y], solid[x + 1, y + 1, 1:-1]
+            for z in range(len(row)):
+                marked[z] = row[z] > level
 
 
 @compiled
-def _count_surface(density, level, first, begin, end, counts):  # type: ignore[no-untyped-def]
-    flags = np.empty(density.shape[2], np.bool_)
+def _mark_surface(solid, first, begin, end, surface, counts):  # type: ignore[no-untyped-def]
+    """In bytes, of which a register holds many."""
     for x in range(begin, end):
         n = 0
-        for y in range(density.shape[1]):
-            _surface_of_row(density, level, x, y, flags)
-            for z in range(first, len(flags)):
-                n += flags[z]
+        for y in range(surface.shape[1]):
+            row, marked = solid[x + 1, y + 1], surface[x, y]
+            left, right, near, far = solid[x, y + 1], solid[x + 2, y + 1], solid[x + 1, y], solid[x + 1, y + 2]
+            for z in range(len(marked)):
+                inside = left[z + 1] & right[z + 1] & near[z + 1] & far[z + 1] & row[z] & row[z + 2]
+                marked[z] = row[z + 1] & (inside ^ np.uint8(1))
+            marked[:first] = 0
+            own = 0
+            for z in range(len(marked)):
+                own += marked[z]
+            n += own
         counts[x + 1] = n
 
 
 @compiled
-def _list_surface(density, level, first, start, begin, end, found):  # type: ignore[no-untyped-def]
-    flags = np.empty(density.shape[2], np.bool_)
+def _list_marked(surface, start, begin, end, found):  # type: ignore[no-untyped-def]
     for x in range(begin, end):
         n = start[x]
-        for y in range(density.shape[1]):
+        for y in range(surface.shape[1]):
             if n == start[x + 1]:
                 break
-            _surface_of_row(density, level, x, y, flags)
-            for z in range(first, len(flags)):
-                if flags[z]:
-                    found[n, 0], found[n, 1], found[n, 2] = x, y, z
-                    n += 1
+            marked = surface[x, y]
+            some = np.uint8(0)
+            for z in range(len(marked)):
+                some |= marked[z]
+            if some:
+                for z in range(len(marked)):
+                    if marked[z]:
+                        found[n, 0], found[n, 1], found[n, 2] = x, y, z
+                        n += 1

@@ -1,4 +1,4 @@
-"""The moments of each point's neighbourhood, and what follows from them: normals, roughness and denoised positions."""
+"""The moments of each point's neighbourhood, and what follows from them: normals, denoised positions and shapes."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ class LocalPlanes(NamedTuple):
     """(N, 3): centroid of the neighbours [m]."""
     normal: Array
     """(N, 3): direction of least variance, of arbitrary sign."""
-    roughness: Array
-    """(N,): standard deviation of the neighbours along the normal [m], to about 1e-4 of the radius."""
     neighbours: npt.NDArray[np.int64]
     """(N,): number of neighbours, the point itself included."""
 
@@ -37,7 +35,7 @@ class LocalPlanes(NamedTuple):
 def local_planes(points: Array, radius: float) -> LocalPlanes:
     """Fit a plane to the points (N, 3) within ``radius`` of each of them [m]."""
     count = len(points)
-    made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count), np.zeros(count, np.int64))
+    made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.int64))
     buckets, origin = _from_their_corner(points)
     for_each_range(lambda a, z: _planes(buckets, origin, np.float32(radius), a, z, *made), len(buckets.rows), least=8)
     return made
@@ -63,7 +61,7 @@ def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array
 
 
 @compiled
-def _planes(buckets, origin, radius, begin, end, mean, normal, roughness, neighbours):  # type: ignore[no-untyped-def]
+def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # type: ignore[no-untyped-def]
     places, at = _room(buckets.count)
     sums = np.empty((19, SIZE), np.float32)
     axes = sums[10:]
@@ -78,7 +76,6 @@ def _planes(buckets, origin, radius, begin, end, mean, normal, roughness, neighb
             x, y, z = np.float64(axes[least, i]), np.float64(axes[3 + least, i]), np.float64(axes[6 + least, i])
             length = np.sqrt(x * x + y * y + z * z)
             normal[row, 0], normal[row, 1], normal[row, 2] = x / length, y / length, z / length
-            roughness[row] = np.sqrt(max(sums[4 + least, i], np.float32(0.0)))
             for a in range(3):
                 mean[row, a] = origin[a] + buckets.points[b, a, i] + sums[1 + a, i]
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled
+from regnet_core.ops.compiled import compiled, compiled_with_any_order
 from regnet_core.ops.parallel import for_each_range
 
 
@@ -53,22 +53,22 @@ def _count(x, y, z, normals, offsets, tolerance, begin, end, counts):  # type: i
         counts[p] = n
 
 
-@compiled
+@compiled_with_any_order
 def _sums(points, a, b, c, d, tolerance):  # type: ignore[no-untyped-def]
     n = 0.0
     sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if abs(a * x + b * y + c * z - d) < tolerance:
-            x, y, z = x - d * a, y - d * b, z - d * c
-            n += 1.0
-            sx += x
-            sy += y
-            sz += z
-            sxx += x * x
-            sxy += x * y
-            sxz += x * z
-            syy += y * y
-            syz += y * z
-            szz += z * z
+        near = 1.0 if abs(a * x + b * y + c * z - d) < tolerance else 0.0
+        x, y, z = near * (x - d * a), near * (y - d * b), near * (z - d * c)
+        n += near
+        sx += x
+        sy += y
+        sz += z
+        sxx += x * x
+        sxy += x * y
+        sxz += x * z
+        syy += y * y
+        syz += y * z
+        szz += z * z
     return np.array([n, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz])

@@ -7,6 +7,7 @@ import shapes
 from regnet_core import Box, CloudError
 from regnet_core.geometry import pose_matrix, transform_points
 from regnet_core.pointcloud import (
+    colors_as_floats,
     crop,
     estimate_normals,
     fit_support_plane,
@@ -44,10 +45,15 @@ def test_malformed_arrays_are_refused_with_what_would_be_right(points: object, m
 
 
 def test_colours_are_scaled_and_checked() -> None:
-    assert validate_colors(np.array([[0, 255, 51]], np.uint8), 1)[0].tolist() == [0.0, 1.0, 0.2]
-    assert validate_colors(np.array([[0.0, 1.0, 0.2]]), 1)[0].tolist() == [0.0, 1.0, 0.2]
+    assert colors_as_floats(np.array([[0, 255, 51]], np.uint8))[0].tolist() == [0.0, 1.0, 0.2]
+    assert colors_as_floats(np.array([[0.0, 1.0, 0.2]]))[0].tolist() == [0.0, 1.0, 0.2]
+    bytes_given = np.array([[0, 255, 51]], np.uint8)
+    assert validate_colors(bytes_given, 1) is bytes_given and validate_colors(None, 1) is None
     with pytest.raises(CloudError, match=r"\(2, 3\)"):
         validate_colors(np.zeros((3, 3)), 2)
+    for wrong in (np.array([[0, 256, 0]]), np.array([[0.0, 1.5, 0.0]]), np.array([[0.0, -0.1, 0.0]])):
+        with pytest.raises(CloudError, match="integers in 0..255 or floats in 0..1, got values from"):
+            validate_colors(wrong, 1)
 
 
 def test_crop_includes_the_faces_of_the_box() -> None:

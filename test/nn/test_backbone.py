@@ -246,15 +246,10 @@ def test_the_functions_in_torch_give_what_the_kernels_give(monkeypatch: pytest.M
     net, clouds = network(VARIANTS["rich refinement"]), batch(1500, 800)
     with torch.no_grad():
         expected = net(clouds, Gripper(height=0.03))
-    starts = iter([int(farthest_points.farthest_points(clouds.points[own], 1)) for own in clouds.slices()])
-
-    def sampled(points: torch.Tensor, count: int) -> torch.Tensor:
-        return farthest_points.farthest_points_in_torch(points, count, next(starts))
-
-    monkeypatch.setattr(farthest_points, "_sampled_on_cpu", sampled)
+    monkeypatch.setattr(farthest_points, "_sampled_on_cpu", lambda *a: farthest_points.farthest_points_in_torch(*a[:-1]))
     monkeypatch.setattr(ball_query, "_queried_on_cpu", lambda *a: ball_query.ball_query_in_torch(*a[:-1]))
     monkeypatch.setattr(box_query, "_queried_on_cpu", lambda *a: box_query.box_query_in_torch(*a[:-1]))
-    monkeypatch.setattr(interpolation, "three_nearest_on_cpu", interpolation.three_nearest_in_torch)
+    monkeypatch.setattr(interpolation, "three_nearest_on_cpu", lambda *a: interpolation.three_nearest_in_torch(*a[:2]))
     monkeypatch.setattr(segments, "has_kernel", lambda values: False)
     monkeypatch.setattr(refinement, "seen_from_grasps", grasp_frame.seen_from_grasps_in_torch)
     with torch.no_grad():
