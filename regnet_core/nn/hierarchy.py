@@ -34,12 +34,12 @@ class Level(NamedTuple):
     """(B + 1,): where each cloud's begin."""
     neighbours: Neighbourhoods
     """Of each centroid, in the level below."""
-    interpolation: Interpolation
-    """From this level to the one below."""
+    interpolation: Interpolation | None
+    """From this level to the one below; None for the first level where only some of the points will be asked about."""
 
     def to(self, device: torch.device | str) -> Level:
         """The same on another device."""
-        return Level(*(value.to(device) for value in self))  # type: ignore[arg-type]
+        return Level(*(None if value is None else value.to(device) for value in self))  # type: ignore[arg-type]
 
     def slices(self) -> list[slice]:
         """The rows of each cloud."""
@@ -61,8 +61,14 @@ class Hierarchy(NamedTuple):
 
 
 @torch.no_grad()
-def build_hierarchy(clouds: Clouds, config: NetworkConfig) -> Hierarchy:
-    """The levels that a network of this configuration has for these clouds."""
+def build_hierarchy(clouds: Clouds, config: NetworkConfig, to_all_points: bool = True) -> Hierarchy:
+    """The levels that a network of this configuration has for these clouds.
+
+    Args:
+        clouds: B clouds.
+        config: of the network.
+        to_all_points: whether to find the interpolation from the first level to all points.
+    """
     rows = clouds.slices()
     grids = tuple(point_grid(clouds.points[own], config.abstractions[0].radius) for own in rows)
     buckets = [point_buckets(clouds.points[own]) for own in rows]
@@ -74,7 +80,7 @@ def build_hierarchy(clouds: Clouds, config: NetworkConfig) -> Hierarchy:
     levels: list[Level] = []
     below = _Below(clouds.points, rows, grids, buckets)
     for abstraction in config.abstractions:
-        level, buckets = _level(clouds.points, sequences, abstraction, below, first=not levels)
+        level, buckets = _level(clouds.points, sequences, abstraction, below, not levels, to_all_points or bool(levels))
         levels.append(level)
         below = _Below(level.points, level.slices(), (None,) * len(rows), buckets)
     return Hierarchy(tuple(levels), grids)
@@ -99,6 +105,7 @@ def _level(
     config: AbstractionConfig,
     below: _Below,
     first: bool,
+    interpolates: bool,
 ) -> tuple[Level, list[Buckets | None]]:
     """The level, and each cloud's centroids in buckets."""
     chosen = [sequence[: config.centroids] for sequence in sequences]
@@ -112,21 +119,38 @@ def _level(
         centres, given = points[chosen[i]], below.points[own]
         parts = point_buckets(centres)
         neighbours.append(ball_query(given, centres, config.radius, config.neighbours, below.grids[i]))
-        interpolations.append(three_nearest(centres, given, parts, below.buckets[i]))
+        if interpolates:
+            interpolations.append(three_nearest(centres, given, parts, below.buckets[i]))
         buckets.append(parts)
-    ahead = offsets.tolist()
     level = Level(
         points=position,
         source=source,
         below=source if first else _first_rows(chosen, starts),
         offsets=offsets,
         neighbours=joined(neighbours, starts),
-        interpolation=Interpolation(
-            torch.cat([part.indices + start for part, start in zip(interpolations, ahead, strict=False)]),
-            torch.cat([part.weights for part in interpolations]),
-        ),
+        interpolation=_joined(interpolations, offsets.tolist()) if interpolates else None,
     )
     return level, buckets
+
+
+def interpolation_to_points(clouds: Clouds, level: Level, rows: torch.Tensor) -> Interpolation:
+    """From the centroids of the first level to some points: rows (n,) of the clouds' points, ascending."""
+    if level.interpolation is not None:
+        return Interpolation(level.interpolation.indices[rows], level.interpolation.weights[rows])
+    bounds = torch.searchsorted(rows, clouds.offsets).tolist()
+    parts = [
+        three_nearest(level.points[own], clouds.points[rows[first:last]])
+        for own, (first, last) in zip(level.slices(), pairwise(bounds), strict=True)
+    ]
+    return _joined(parts, level.offsets.tolist())
+
+
+def _joined(parts: list[Interpolation], starts: list[int]) -> Interpolation:
+    """The interpolations of several clouds as one, given where each cloud's centroids begin."""
+    indices = [part.indices + start if start else part.indices for part, start in zip(parts, starts, strict=False)]
+    if len(parts) == 1:
+        return Interpolation(indices[0], parts[0].weights)
+    return Interpolation(torch.cat(indices), torch.cat([part.weights for part in parts]))
 
 
 def _first_rows(chosen: list[torch.Tensor], starts: list[int]) -> torch.Tensor:

@@ -14,6 +14,7 @@ from regnet_core.nn.config import NetworkConfig
 from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
 from regnet_core.nn.layers import Mlp
+from regnet_core.nn.point_features import PointFeatures
 from regnet_core.nn.refinement import RefineNetwork
 from regnet_core.nn.regions import candidate_points, pool_regions, regions_at, select_regions
 from regnet_core.nn.results import (
@@ -64,7 +65,7 @@ class RegNet(nn.Module):
             eligible: (N,) which points may become positive; all of them when None.
         """
         if hierarchy is None and clouds.points.device.type == "cpu" and not torch.is_grad_enabled():
-            levels = beside(lambda: build_hierarchy(clouds, self.config))
+            levels = beside(lambda: build_hierarchy(clouds, self.config, to_all_points=eligible is None))
             clouds = with_shapes(clouds, self.config)
             hierarchy = levels()
         else:
@@ -98,24 +99,31 @@ class RegNet(nn.Module):
         """
         clouds = with_shapes(clouds, self.config)
         cfg, hierarchy = self.config, hierarchy or build_hierarchy(clouds, self.config)
-        features = self.backbone(clouds, hierarchy)
+        coarse = self.backbone.coarse(clouds, hierarchy)
+        of_all = eligible is None or torch.is_grad_enabled() or clouds.points.device.type != "cpu"
+        points = PointFeatures(self.backbone, self._carry, coarse, of_all)
         if positives is None:
             candidates = candidate_points(clouds, hierarchy, cfg.layer, eligible)
-            confidence = self.score(features) if eligible is None else self._confidence(features, candidates)
+            confidence = self.score(points.values) if eligible is None else self._confidence(points, candidates)
             regions = select_regions(confidence, candidates, clouds, cfg.positives, cfg.least_confidence)
         else:
-            confidence = self.score(features)
+            confidence = self.score(points.values)
             regions = regions_at(positives, clouds)
-        pooled = pool_regions(features, regions, clouds, hierarchy, cfg.region)
+        pooled = pool_regions(points, regions, clouds, hierarchy, cfg.region)
         anchors: StagePrediction = self.grasp(pooled, self.score.mlp)
-        carried = None if self.refinement is None else self.refinement.carried(features)
-        return Proposed(hierarchy, features, confidence, regions, pooled, anchors, carried)
+        return Proposed(hierarchy, points, confidence, regions, pooled, anchors)
 
-    def _confidence(self, features: torch.Tensor, candidates: list[torch.Tensor]) -> torch.Tensor:
+    def _carry(self, features: torch.Tensor) -> torch.Tensor | None:
+        """What the points' features come to in the Refine Network."""
+        carried: torch.Tensor | None = None if self.refinement is None else self.refinement.carried(features)
+        return carried
+
+    def _confidence(self, points: PointFeatures, candidates: list[torch.Tensor]) -> torch.Tensor:
         """(N,): that of the candidates alone; the others, which cannot become positive, have none."""
         rows = torch.cat(candidates)
-        some = self.score(features.index_select(0, rows))
-        return some.new_full((len(features),), -torch.inf).index_copy(0, rows, some)
+        points.need(rows)
+        some = self.score(points.values.index_select(0, rows))
+        return some.new_full((len(points.values),), -torch.inf).index_copy(0, rows, some)
 
     @torch.no_grad()
     def best_anchors(self, proposed: Proposed, count: int = 1) -> Candidates:
@@ -169,7 +177,7 @@ class RegNet(nn.Module):
             raise ModelError(f"the network '{self.config.name}' has no refinement")
         pose = Pose(candidates.pose.rotation.float(), candidates.pose.translation.float())
         refined: Refined = self.refinement(
-            candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.carried,
+            candidates._replace(pose=pose), proposed.regions, proposed.region_features, proposed.points,
             with_shapes(clouds, self.config), proposed.hierarchy, gripper or Gripper(),
         )  # fmt: skip
         return refined

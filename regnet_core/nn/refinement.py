@@ -18,6 +18,7 @@ from regnet_core.nn.config import NetworkConfig, RefinementConfig
 from regnet_core.nn.heads import RARE
 from regnet_core.nn.hierarchy import Hierarchy
 from regnet_core.nn.layers import Mlp, output_layer
+from regnet_core.nn.point_features import PointFeatures
 from regnet_core.nn.pooling import PooledMlp
 from regnet_core.nn.results import Candidates, Refined, Regions, StagePrediction
 from regnet_core.ops.box_query import Boxes, box_query
@@ -53,7 +54,7 @@ class RefineNetwork(nn.Module):
         candidates: Candidates,
         regions: Regions,
         region_features: torch.Tensor,
-        carried: torch.Tensor | None,
+        points: PointFeatures,
         clouds: Clouds,
         hierarchy: Hierarchy,
         gripper: Gripper,
@@ -62,14 +63,16 @@ class RefineNetwork(nn.Module):
         candidates: G proposals, in the order of their clouds.
         regions: R regions.
         region_features: (R, C).
-        carried: what ``carried`` gives.
+        points: the features of the clouds' points.
         clouds: the points and the grippers' widths.
         hierarchy: of the clouds.
         gripper: depth and height of the hand; its width is the clouds'.
         """
         cloud = regions.cloud[candidates.region]
         near = closing_points(candidates.pose, cloud, clouds, hierarchy, gripper, self.refinement)
-        seen = self._seen(candidates.pose, cloud, near, carried, clouds)
+        if self.refinement.point_features:
+            points.need(near.indices)
+        seen = self._seen(candidates.pose, cloud, near, points.carried, clouds)
         both = self.fusion(torch.cat([seen, region_features.index_select(0, candidates.region).to(seen.dtype)], dim=1))
         numbers = self.residual_output(both).float()
         logit = self.class_output(both).float().squeeze(1)

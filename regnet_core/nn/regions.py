@@ -7,6 +7,7 @@ import torch
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import RegionConfig
 from regnet_core.nn.hierarchy import Hierarchy
+from regnet_core.nn.point_features import PointFeatures
 from regnet_core.nn.results import Regions
 from regnet_core.ops.ball_query import ball_query
 from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
@@ -74,9 +75,12 @@ def region_neighbours(regions: Regions, clouds: Clouds, hierarchy: Hierarchy, co
 
 
 def pool_regions(
-    features: torch.Tensor, regions: Regions, clouds: Clouds, hierarchy: Hierarchy, config: RegionConfig | None
+    points: PointFeatures, regions: Regions, clouds: Clouds, hierarchy: Hierarchy, config: RegionConfig | None
 ) -> torch.Tensor:
-    """Features (R, C) of regions: the maximum over their points' (N, C); without regions, those of their points."""
+    """Features (R, C) of regions: the maximum over their points'; without regions, those of their positive points."""
     if config is None:
-        return features.index_select(0, regions.source)
-    return neighbour_max(features, region_neighbours(regions, clouds, hierarchy, config))
+        points.need(regions.source)
+        return points.values.index_select(0, regions.source)
+    near = region_neighbours(regions, clouds, hierarchy, config)
+    points.need(near.indices)
+    return neighbour_max(points.values, near)

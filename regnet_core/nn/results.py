@@ -8,6 +8,7 @@ import torch
 
 from regnet_core.nn.anchors import Pose
 from regnet_core.nn.hierarchy import Hierarchy
+from regnet_core.nn.point_features import PointFeatures
 
 
 class StagePrediction(NamedTuple):
@@ -38,8 +39,8 @@ class Proposed(NamedTuple):
     """The first two stages' results."""
 
     hierarchy: Hierarchy
-    features: torch.Tensor
-    """(N, C): of all points, from the backbone."""
+    points: PointFeatures
+    """Of the points that were asked about."""
     confidence: torch.Tensor
     """(N,) float32: logit of the point grasp confidence, eq. (1); -infinity where it was not computed, because the
     point cannot become positive."""
@@ -48,8 +49,11 @@ class Proposed(NamedTuple):
     """(R, C)."""
     anchors: StagePrediction
     """(R, M)."""
-    carried: torch.Tensor | None
-    """(N, C_1): what the features come to in the Refine Network's first layer; None where it does not take them."""
+
+    @property
+    def features(self) -> torch.Tensor:
+        """(N, C): of the points, from the backbone; 0 where only some of them may become positive and nobody asked."""
+        return self.points.values
 
 
 class Candidates(NamedTuple):
