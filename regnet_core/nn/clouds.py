@@ -10,6 +10,7 @@ import torch
 
 from regnet_core.errors import CloudError
 from regnet_core.nn.config import NetworkConfig
+from regnet_core.ops.buckets import Buckets, point_buckets
 from regnet_core.ops.local_shape import local_shapes, unique_entries
 
 _USUAL_WIDTH, _WIDTH_SPREAD = 0.09, 0.03
@@ -102,14 +103,31 @@ def point_features(clouds: Clouds, config: NetworkConfig) -> torch.Tensor | None
 
 
 @torch.no_grad()
-def with_shapes(clouds: Clouds, config: NetworkConfig) -> Clouds:
-    """The clouds with their local shapes, where the network wants them; without, where it does not."""
+def with_shapes(
+    clouds: Clouds, config: NetworkConfig, buckets: Sequence[Buckets | None] | None = None
+) -> Clouds:
+    """The clouds with their local shapes, where the network wants them; without, where it does not.
+
+    Args:
+        clouds: B clouds.
+        config: of the network.
+        buckets: of each cloud's points (``buckets_of``), where they were made already.
+    """
     if config.shape_radius == 0.0:
         return clouds._replace(shapes=None)
     if clouds.shapes is not None:
         return clouds
-    shapes = [local_shapes(clouds.points[own], config.shape_radius) for own in clouds.slices()]
+    parts = buckets or [None] * len(clouds.width)
+    shapes = [
+        local_shapes(clouds.points[own], config.shape_radius, part)
+        for own, part in zip(clouds.slices(), parts, strict=True)
+    ]
     return clouds._replace(shapes=torch.cat(shapes))
+
+
+def buckets_of(clouds: Clouds) -> list[Buckets | None]:
+    """Each cloud's points in buckets, on a CPU."""
+    return [point_buckets(clouds.points[own]) for own in clouds.slices()]
 
 
 def width_feature(width: torch.Tensor) -> torch.Tensor:

@@ -6,12 +6,13 @@ cloud is in the network.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 
-from regnet_core.nn.clouds import Clouds
+from regnet_core.nn.clouds import Clouds, buckets_of
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig
 from regnet_core.ops.ball_query import ball_query, point_grid
 from regnet_core.ops.buckets import Buckets, point_buckets
@@ -61,28 +62,34 @@ class Hierarchy(NamedTuple):
 
 
 @torch.no_grad()
-def build_hierarchy(clouds: Clouds, config: NetworkConfig, to_all_points: bool = True) -> Hierarchy:
+def build_hierarchy(
+    clouds: Clouds,
+    config: NetworkConfig,
+    buckets: Sequence[Buckets | None] | None = None,
+    to_all_points: bool = True,
+) -> Hierarchy:
     """The levels that a network of this configuration has for these clouds.
 
     Args:
         clouds: B clouds.
         config: of the network.
+        buckets: of each cloud's points (``buckets_of``), where they were made already.
         to_all_points: whether to find the interpolation from the first level to all points.
     """
     rows = clouds.slices()
     grids = tuple(point_grid(clouds.points[own], config.abstractions[0].radius) for own in rows)
-    buckets = [point_buckets(clouds.points[own]) for own in rows]
+    parts = list(buckets or buckets_of(clouds))
     # All levels' centroids come from one sequence, of which each takes the first ones: farthest_points.py says why.
     most = config.abstractions[0].centroids
     sequences = [
-        farthest_points(clouds.points[own], most, parts) + own.start for own, parts in zip(rows, buckets, strict=True)
+        farthest_points(clouds.points[own], most, part) + own.start for own, part in zip(rows, parts, strict=True)
     ]
     levels: list[Level] = []
-    below = _Below(clouds.points, rows, grids, buckets)
+    below = _Below(clouds.points, rows, grids, parts)
     for abstraction in config.abstractions:
-        level, buckets = _level(clouds.points, sequences, abstraction, below, not levels, to_all_points or bool(levels))
+        level, parts = _level(clouds.points, sequences, abstraction, below, not levels, to_all_points or bool(levels))
         levels.append(level)
-        below = _Below(level.points, level.slices(), (None,) * len(rows), buckets)
+        below = _Below(level.points, level.slices(), (None,) * len(rows), parts)
     return Hierarchy(tuple(levels), grids)
 
 

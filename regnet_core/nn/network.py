@@ -9,7 +9,7 @@ from regnet_core.errors import ModelError
 from regnet_core.gripper import Gripper
 from regnet_core.nn.anchors import GraspCoder, Pose, RefineCoder
 from regnet_core.nn.backbone import Backbone
-from regnet_core.nn.clouds import Clouds, with_shapes
+from regnet_core.nn.clouds import Clouds, buckets_of, with_shapes
 from regnet_core.nn.config import NetworkConfig
 from regnet_core.nn.heads import GraspHead, ScoreHead
 from regnet_core.nn.hierarchy import Hierarchy, build_hierarchy
@@ -65,8 +65,9 @@ class RegNet(nn.Module):
             eligible: (N,) which points may become positive; all of them when None.
         """
         if hierarchy is None and clouds.points.device.type == "cpu" and not torch.is_grad_enabled():
-            levels = beside(lambda: build_hierarchy(clouds, self.config, to_all_points=eligible is None))
-            clouds = with_shapes(clouds, self.config)
+            buckets = buckets_of(clouds)
+            levels = beside(lambda: build_hierarchy(clouds, self.config, buckets, eligible is None))
+            clouds = with_shapes(clouds, self.config, buckets)
             hierarchy = levels()
         else:
             clouds = with_shapes(clouds, self.config)

@@ -20,7 +20,7 @@ class PointFeatures:
     """What the last feature propagation and the Refine Network's first layer give, for some points or for all."""
 
     values: torch.Tensor
-    """(N, C); 0 for points that were not needed yet."""
+    """(N, C); anything for points that were not needed yet."""
     carried: torch.Tensor | None
     """(N, C_1), likewise; None where the Refine Network does not take features."""
 
@@ -39,7 +39,7 @@ class PointFeatures:
         else:
             points = coarse.clouds.points
             self._there = torch.zeros(len(points), dtype=torch.bool, device=points.device)
-            self.values, self.carried = points.new_zeros((len(points), backbone.config.features)), None
+            self.values, self.carried = points.new_empty((len(points), backbone.config.features)), None
 
     def need(self, rows: torch.Tensor) -> None:
         """Compute them for these points (n,), in any order, where they are not there."""
@@ -53,7 +53,7 @@ class PointFeatures:
         found = self._backbone.fine(self._coarse, missing)
         self.values = _put(self.values, missing, found)
         if (carried := self._carry(found)) is not None:
-            room = carried.new_zeros((len(self.values), carried.shape[1])) if self.carried is None else self.carried
+            room = carried.new_empty((len(self.values), carried.shape[1])) if self.carried is None else self.carried
             self.carried = _put(room, missing, carried)
         self._there |= wanted
 

@@ -52,7 +52,7 @@ class Proposed(NamedTuple):
 
     @property
     def features(self) -> torch.Tensor:
-        """(N, C): of the points, from the backbone; 0 where only some of them may become positive and nobody asked."""
+        """(N, C): of the points, from the backbone. Where only some may become positive, those of others may be anything."""
         return self.points.values
 
 

@@ -16,6 +16,8 @@ from regnet_core.ops.parallel import for_each_range
 
 _CLOSEST = 1e-10
 """Squared distances below this count as this much [m2]: a point of its own gets all the weight."""
+_FEW = 96
+"""So many are sorted fastest by insertion."""
 _CHUNK = 1 << 24
 """Pairs of points that the search in torch looks at in one go."""
 
@@ -84,8 +86,8 @@ def three_nearest_on_cpu(
     indices, squared = np.zeros((len(queries), 3), np.int64), np.full((len(queries), 3), np.inf, np.float32)
     if len(queries):
         given, asked = point_parts or point_buckets(points), query_parts or point_buckets(queries)
-        assert asked is not None  # the queries are on a CPU
-        reach = _usual_reach(points.float().numpy(), queries.float().numpy())
+        assert given is not None and asked is not None  # all are on a CPU
+        reach = _usual_reach(given)
         for_each_range(
             lambda start, stop: _search(asked, given, reach, start, stop, indices, squared), len(asked.rows), least=16
         )
@@ -107,13 +109,12 @@ def three_nearest_in_torch(points: torch.Tensor, queries: torch.Tensor) -> tuple
     return indices, squared
 
 
-def _usual_reach(points: np.ndarray, queries: np.ndarray) -> float:
-    """A radius within which nearly all queries have three points, from a few of the queries [m]."""
-    some = queries[:: max(1, len(queries) // 12)][:12]
-    squared = ((some[:, None] - points[None]) ** 2).sum(axis=-1)
-    k = min(2, len(points) - 1)
-    third = np.sqrt(np.partition(squared, k, axis=1)[:, k])
-    return float(max(1.6 * np.quantile(third, 0.8), 1e-4))
+def _usual_reach(points: Buckets) -> float:
+    """A radius within which most places among the points have three of them [m], from the buckets' sizes: on a surface,
+    those of points that are evenly spread."""
+    sides = np.sort(points.upper - points.lower, axis=1)
+    spacing = np.maximum(np.sqrt(sides[:, 1] * sides[:, 2] / SIZE), sides[:, 2] / SIZE)
+    return max(1.3 * float(np.median(spacing)), 1e-4)
 
 
 @compiled
@@ -133,14 +134,11 @@ def _search(queries, points, usual, begin, end, indices, squared):  # type: igno
             if n < most:
                 reach *= 2.0
                 continue
-            for p in range(n):  # sorted by row: of equally near points the first one counts as nearer
+            _sort(places[:n], points.rows)
+            for p in range(n):
                 c, i = places[p] // SIZE, places[p] % SIZE
-                row, e = points.rows[c, i], p - 1
-                while e >= 0 and rows[e] > row:
-                    rows[e + 1], x[e + 1], y[e + 1], z[e + 1] = rows[e], x[e], y[e], z[e]
-                    e -= 1
-                rows[e + 1] = row
-                x[e + 1], y[e + 1], z[e + 1] = points.points[c, 0, i], points.points[c, 1, i], points.points[c, 2, i]
+                rows[p] = points.rows[c, i]
+                x[p], y[p], z[p] = points.points[c, 0, i], points.points[c, 1, i], points.points[c, 2, i]
             near[:], nearest[:] = np.inf, 0
             for p in range(n):
                 px, py, pz, row = x[p], y[p], z[p], rows[p]
@@ -163,3 +161,21 @@ def _search(queries, points, usual, begin, end, indices, squared):  # type: igno
             row = queries.rows[b, i]
             for k in range(3):
                 indices[row, k], squared[row, k] = nearest[k, i], near[k, i]
+
+
+@compiled
+def _sort(places, rows):  # type: ignore[no-untyped-def]
+    """By row: of equally near points the first one counts as nearer."""
+    if len(places) > _FEW:
+        own = np.empty(len(places), np.int32)
+        for p in range(len(places)):
+            own[p] = rows[places[p] // SIZE, places[p] % SIZE]
+        places[:] = places[np.argsort(own)]
+        return
+    for p in range(1, len(places)):
+        place, e = places[p], p - 1
+        row = rows[place // SIZE, place % SIZE]
+        while e >= 0 and rows[places[e] // SIZE, places[e] % SIZE] > row:
+            places[e + 1] = places[e]
+            e -= 1
+        places[e + 1] = place

@@ -41,14 +41,19 @@ def local_planes(points: Array, radius: float) -> LocalPlanes:
     return made
 
 
-def local_covariances(points: npt.NDArray[np.floating], radius: float) -> npt.NDArray[np.float32]:
-    """(N, 3, 3) float32 [m2]: the covariance of the points (N, 3) within ``radius`` of each of them [m]."""
-    covariance = np.zeros((len(points), 3, 3), np.float32)
-    buckets, _ = _from_their_corner(points)
+def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.NDArray[np.float32]:
+    """(N, 3, 3) float32: 3 C / trace(C) - 1, with C the covariance of the points within ``radius`` of each of N [m].
+
+    Args:
+        buckets: the points.
+        radius: [m].
+        least: where the trace is less, the result is 0 [m2].
+    """
+    made = np.empty((buckets.count, 3, 3), np.float32)
     for_each_range(
-        lambda a, z: _covariances(buckets, np.float32(radius), a, z, covariance), len(buckets.rows), least=8
+        lambda a, z: _relative(buckets, np.float32(radius), np.float32(least), a, z, made), len(buckets.rows), least=8
     )
-    return covariance
+    return made
 
 
 def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array]:
@@ -81,13 +86,21 @@ def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # t
 
 
 @compiled
-def _covariances(buckets, radius, begin, end, covariance):  # type: ignore[no-untyped-def]
+def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-untyped-def]
     places, at = _room(buckets.count)
     sums = np.empty((10, SIZE), np.float32)
+    zero, one = np.float32(0.0), np.float32(1.0)
     for b in range(begin, end):
         _moments(buckets, b, radius, places, at, sums)
+        for i in range(SIZE):
+            trace = sums[4, i] + sums[5, i] + sums[6, i]
+            scale, whole = (np.float32(3.0) / trace, one) if trace >= least else (zero, zero)
+            for k in range(4, 7):
+                sums[k, i] = scale * sums[k, i] - whole
+            for k in range(7, 10):
+                sums[k, i] = scale * sums[k, i]
         for i in range(min(SIZE, buckets.count - b * SIZE)):
-            own = covariance[buckets.rows[b, i]]
+            own = made[buckets.rows[b, i]]
             own[0, 0], own[1, 1], own[2, 2] = sums[4, i], sums[5, i], sums[6, i]
             own[0, 1] = own[1, 0] = sums[7, i]
             own[0, 2] = own[2, 0] = sums[8, i]

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import torch
 
+from regnet_core.ops.buckets import Buckets, in_buckets
 from regnet_core.ops.gpu import has_kernels
-from regnet_core.ops.local_planes import local_covariances
+from regnet_core.ops.local_planes import relative_covariances
 
 SHAPE_CHANNELS = 6
 """xx, yy, zz, xy, xz, yz of the tensor."""
@@ -21,15 +22,21 @@ _CHUNK = 1 << 24
 """Pairs of points that the search in torch looks at in one go."""
 
 
-def local_shapes(points: torch.Tensor, radius: float) -> torch.Tensor:
-    """(N, 3, 3) float32: 3 C / trace(C) - 1, with C the covariance of the points (N, 3) within ``radius`` [m] of each.
+def local_shapes(points: torch.Tensor, radius: float, buckets: Buckets | None = None) -> torch.Tensor:
+    """(N, 3, 3) float32: 3 C / trace(C) - 1, with C the covariance of the points within a radius of each.
+
+    Args:
+        points: (N, 3) [m].
+        radius: [m].
+        buckets: of the points, from ``point_buckets``, where there are some already.
 
     A flat surface with the normal z gives diag(0.5, 0.5, -1), points on a line along z diag(-1, -1, 2), and points
     without neighbours 0.
     """
     if points.device.type == "cpu":
-        covariance = torch.from_numpy(local_covariances(points.detach().numpy(), radius))
-    elif has_kernels(points):
+        given = buckets or in_buckets(points.detach().float().numpy())
+        return torch.from_numpy(relative_covariances(given, radius, _LEAST_TRACE))
+    if has_kernels(points):
         from regnet_core.ops.gpu.moments import covariance_on_gpu
 
         covariance = covariance_on_gpu(points.detach(), radius)

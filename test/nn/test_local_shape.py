@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from regnet_core.ops.local_planes import local_covariances
+from regnet_core.ops.buckets import point_buckets
 from regnet_core.ops.local_shape import covariance_in_torch, local_shapes, symmetric, turned, unique_entries
 
 
@@ -35,9 +35,11 @@ def test_lines_and_lonely_points() -> None:
 
 def test_the_search_in_torch_finds_the_same() -> None:
     points = torch.rand(500, 3, generator=torch.Generator().manual_seed(0)) * 0.1 + 2.0
-    expected = covariance_in_torch(points, 0.02).float()
-    found = torch.from_numpy(local_covariances(points.numpy(), 0.02))
-    torch.testing.assert_close(found, expected, atol=1e-10, rtol=1e-5)
+    covariance = covariance_in_torch(points, 0.02)
+    trace = covariance.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    expected = torch.where(trace >= 1e-8, 3.0 * covariance / trace - torch.eye(3), 0.0).float()
+    torch.testing.assert_close(local_shapes(points, 0.02), expected, atol=2e-5, rtol=1e-5)
+    assert torch.equal(local_shapes(points, 0.02, point_buckets(points)), local_shapes(points, 0.02))
 
 
 def test_tensors_turn_into_frames_and_keep_their_entries() -> None:
