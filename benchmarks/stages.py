@@ -154,8 +154,8 @@ NETWORK_STAGES = (
     Stage(
         "ball queries",
         "search",
-        "neighbours of centroids and of regions, and the grid for them",
-        ("regnet_core.ops.ball_query:ball_query", "regnet_core.ops.ball_query:point_grid"),
+        "neighbours of centroids and of regions, and the buckets that all searches look at",
+        ("regnet_core.ops.ball_query:ball_query", "regnet_core.ops.buckets:point_buckets"),
         needed=stage.network,
     ),
     Stage(

@@ -14,12 +14,11 @@ import torch
 
 from regnet_core.nn.clouds import Clouds, buckets_of
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig
-from regnet_core.ops.ball_query import ball_query, point_grid
+from regnet_core.ops.ball_query import ball_query
 from regnet_core.ops.buckets import Buckets, point_buckets
 from regnet_core.ops.farthest_points import farthest_points
 from regnet_core.ops.interpolation import Interpolation, three_nearest
 from regnet_core.ops.neighbourhoods import Neighbourhoods, joined
-from regnet_core.ops.voxel_grid import VoxelGrid
 
 
 class Level(NamedTuple):
@@ -52,13 +51,13 @@ class Hierarchy(NamedTuple):
     """The levels of a batch of clouds, fine to coarse."""
 
     levels: tuple[Level, ...]
-    grids: tuple[VoxelGrid | None, ...]
-    """Of each cloud's points, for further queries of them on a CPU."""
+    buckets: tuple[Buckets | None, ...]
+    """Of each cloud's points, for further searches among them on a CPU."""
 
     def to(self, device: torch.device | str) -> Hierarchy:
         """The same on another device."""
-        grids = self.grids if torch.device(device).type == "cpu" else (None,) * len(self.grids)
-        return Hierarchy(tuple(level.to(device) for level in self.levels), grids)
+        buckets = self.buckets if torch.device(device).type == "cpu" else (None,) * len(self.buckets)
+        return Hierarchy(tuple(level.to(device) for level in self.levels), buckets)
 
 
 @torch.no_grad()
@@ -77,7 +76,6 @@ def build_hierarchy(
         to_all_points: whether to find the interpolation from the first level to all points.
     """
     rows = clouds.slices()
-    grids = tuple(point_grid(clouds.points[own], config.abstractions[0].radius) for own in rows)
     parts = list(buckets or buckets_of(clouds))
     # All levels' centroids come from one sequence, of which each takes the first ones: farthest_points.py says why.
     most = config.abstractions[0].centroids
@@ -85,12 +83,13 @@ def build_hierarchy(
         farthest_points(clouds.points[own], most, part) + own.start for own, part in zip(rows, parts, strict=True)
     ]
     levels: list[Level] = []
-    below = _Below(clouds.points, rows, grids, parts)
+    own_buckets = tuple(parts)
+    below = _Below(clouds.points, rows, parts)
     for abstraction in config.abstractions:
         level, parts = _level(clouds.points, sequences, abstraction, below, not levels, to_all_points or bool(levels))
         levels.append(level)
-        below = _Below(level.points, level.slices(), (None,) * len(rows), parts)
-    return Hierarchy(tuple(levels), grids)
+        below = _Below(level.points, level.slices(), parts)
+    return Hierarchy(tuple(levels), own_buckets)
 
 
 class _Below(NamedTuple):
@@ -100,8 +99,6 @@ class _Below(NamedTuple):
     """(N, 3) of all clouds [m]."""
     rows: list[slice]
     """Of each cloud."""
-    grids: tuple[VoxelGrid | None, ...]
-    """Of each cloud's, where there is one."""
     buckets: list[Buckets | None]
     """Of each cloud's, on a CPU."""
 
@@ -125,7 +122,7 @@ def _level(
     for i, own in enumerate(below.rows):
         centres, given = points[chosen[i]], below.points[own]
         parts = point_buckets(centres)
-        neighbours.append(ball_query(given, centres, config.radius, config.neighbours, below.grids[i]))
+        neighbours.append(ball_query(given, centres, config.radius, config.neighbours, below.buckets[i]))
         if interpolates:
             interpolations.append(three_nearest(centres, given, parts, below.buckets[i]))
         buckets.append(parts)

@@ -126,5 +126,5 @@ def closing_points(
     boxes, parts = Boxes(pose.rotation, pose.translation, lower, upper), []
     for i, own in enumerate(clouds.slices()):
         some = boxes.take(slice(bounds[i], bounds[i + 1]))
-        parts.append(box_query(clouds.points[own], some, config.points, hierarchy.grids[i]))
+        parts.append(box_query(clouds.points[own], some, config.points, hierarchy.buckets[i]))
     return joined(parts, [own.start for own in clouds.slices()])

@@ -70,7 +70,7 @@ def region_neighbours(regions: Regions, clouds: Clouds, hierarchy: Hierarchy, co
     bounds, parts = regions.offsets.tolist(), []
     for i, own in enumerate(clouds.slices()):
         centres = regions.points[bounds[i] : bounds[i + 1]]
-        parts.append(ball_query(clouds.points[own], centres, config.radius, config.points, hierarchy.grids[i]))
+        parts.append(ball_query(clouds.points[own], centres, config.radius, config.points, hierarchy.buckets[i]))
     return joined(parts, [own.start for own in clouds.slices()])
 
 

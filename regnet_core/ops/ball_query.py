@@ -12,24 +12,17 @@ import torch
 
 from regnet_core.checks import check_range
 from regnet_core.errors import InvalidInputError
+from regnet_core.ops.buckets import GROUP, SIZE, Buckets, gap_to_box, in_buckets
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
-from regnet_core.ops.voxel_grid import VoxelGrid, build_grid, cell_range
 
 _CHUNK = 1 << 24
 """Pairs of a centre and a point that the search in torch looks at in one go."""
 
 
-def point_grid(points: torch.Tensor, cell: float) -> VoxelGrid | None:
-    """A grid for several queries of the same points (N, 3) on a CPU; None elsewhere, where no query uses one."""
-    if points.device.type != "cpu":
-        return None
-    return build_grid(points.detach().numpy().astype(np.float64), cell)
-
-
 def ball_query(
-    points: torch.Tensor, centres: torch.Tensor, radius: float, most: int, grid: VoxelGrid | None = None
+    points: torch.Tensor, centres: torch.Tensor, radius: float, most: int, buckets: Buckets | None = None
 ) -> Neighbourhoods:
     """The points of one cloud in the ball around each centre.
 
@@ -38,7 +31,7 @@ def ball_query(
         centres: (C, 3).
         radius: of the balls, their surface included [m].
         most: K, the most neighbours of a centre; of more, the first K in the order of the points.
-        grid: of the points, from ``point_grid``, where there is one already.
+        buckets: of the points, from ``point_buckets``, where there are some already.
 
     Raises:
         InvalidInputError: the radius or K is not positive, or an array has another shape.
@@ -50,7 +43,7 @@ def ball_query(
         if array.ndim != 2 or array.shape[1] != 3:
             raise InvalidInputError(f"{name} must have the shape (n, 3), got {tuple(array.shape)}")
     if points.device.type == "cpu":
-        return _queried_on_cpu(points.detach(), centres.detach(), radius, most, grid)
+        return _queried_on_cpu(points.detach(), centres.detach(), radius, most, buckets)
     if has_kernels(points):
         from regnet_core.ops.gpu.queries import ball_query_on_gpu
 
@@ -59,18 +52,14 @@ def ball_query(
 
 
 def _queried_on_cpu(
-    points: torch.Tensor, centres: torch.Tensor, radius: float, most: int, grid: VoxelGrid | None
+    points: torch.Tensor, centres: torch.Tensor, radius: float, most: int, buckets: Buckets | None
 ) -> Neighbourhoods:
-    cells = grid or build_grid(points.numpy().astype(np.float64), radius)
-    queries = centres.numpy().astype(np.float64)
-
-    def search(start, stop, counts, found):  # type: ignore[no-untyped-def]
-        _search(
-            queries, radius, cells.points, cells.order, cells.start, cells.origin, cells.shape, cells.cell,
-            start, stop, counts, found,
-        )  # fmt: skip
-
-    return collect(search, len(queries), most)
+    given, queries = buckets or in_buckets(points.float().numpy()), centres.float().numpy()
+    return collect(
+        lambda start, stop, counts, found: _search(queries, radius, given, start, stop, counts, found),
+        len(queries),
+        most,
+    )
 
 
 def ball_query_in_torch(points: torch.Tensor, centres: torch.Tensor, radius: float, most: int) -> Neighbourhoods:
@@ -93,23 +82,33 @@ def _within(points: torch.Tensor, centres: torch.Tensor, radius: float) -> torch
 
 
 @compiled
-def _search(queries, radius, points, order, starts, origin, shape, cell, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near = np.empty(len(points) + 1, np.int32)
-    squared = radius * radius
+def _search(queries, radius, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
+    near, gaps = np.empty(points.count + SIZE, np.int32), np.empty(SIZE, np.float32)
+    exact = radius * radius
+    # float32 is sure of all points but those next to the surface.
+    inside, perhaps = np.float32(exact * (1.0 - 1e-5)), np.float32(exact * (1.0 + 1e-5))
     for q in range(begin, end):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         n = 0
-        i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
-        j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
-        k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
-        if k1 < k0:
-            continue
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                row = (i * shape[1] + j) * shape[2]
-                for p in range(starts[row + k0], starts[row + k1 + 1]):
-                    dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
+        for g in range(len(points.group_lower)):
+            if gap_to_box(points.group_lower, points.group_upper, g, x, y, z) > perhaps:
+                continue
+            for b in range(g * GROUP, min((g + 1) * GROUP, len(points.rows))):
+                if gap_to_box(points.lower, points.upper, b, x, y, z) > perhaps:
+                    continue
+                px, py, pz, rows = points.points[b, 0], points.points[b, 1], points.points[b, 2], points.rows[b]
+                unsure = np.int32(0)
+                for i in range(SIZE):
+                    dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
+                    gap = dx * dx + dy * dy + dz * dz
+                    gaps[i] = gap
+                    unsure += np.int32((gap > inside) & (gap <= perhaps))
+                if unsure:
+                    for i in range(SIZE):
+                        dx, dy, dz = np.float64(px[i]) - x, np.float64(py[i]) - y, np.float64(pz[i]) - z
+                        gaps[i] = np.float32(0.0) if dx * dx + dy * dy + dz * dz <= exact else np.float32(np.inf)
+                for i in range(min(SIZE, points.count - b * SIZE)):
                     # Without a branch: written over by the next one where it is too far.
-                    near[n] = order[p]
-                    n += int(dx * dx + dy * dy + dz * dz <= squared)
+                    near[n] = rows[i]
+                    n += int(gaps[i] <= perhaps)
         keep_first(near, n, q, counts, found)

@@ -7,14 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from regnet_core.ops.ball_query import point_grid
-from regnet_core.ops.compiled import compiled
+from regnet_core.ops.buckets import GROUP, SIZE, Buckets, in_buckets
+from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
-from regnet_core.ops.voxel_grid import VoxelGrid, cells_of_box
 
-_CELL = 0.02
-"""Edge length of the cells of a grid made for one query [m]."""
 _CHUNK = 1 << 23
 """Pairs of a box and a point that the search in torch looks at in one go."""
 
@@ -45,18 +42,18 @@ class Boxes(NamedTuple):
         return Boxes(*(value[some] for value in self))
 
 
-def box_query(points: torch.Tensor, boxes: Boxes, most: int, grid: VoxelGrid | None = None) -> Neighbourhoods:
+def box_query(points: torch.Tensor, boxes: Boxes, most: int, buckets: Buckets | None = None) -> Neighbourhoods:
     """The points of one cloud inside each box, its surface left out; of more than K, the first K.
 
     Args:
         points: (N, 3).
         boxes: G.
         most: K.
-        grid: of the points, from ``point_grid``, where there is one already.
+        buckets: of the points, from ``point_buckets``, where there are some already.
     """
     points, boxes = points.detach(), Boxes(*(value.detach() for value in boxes))
     if points.device.type == "cpu":
-        return _queried_on_cpu(points, boxes, most, grid)
+        return _queried_on_cpu(points, boxes, most, buckets)
     if has_kernels(points):
         from regnet_core.ops.gpu.queries import box_query_on_gpu
 
@@ -64,18 +61,15 @@ def box_query(points: torch.Tensor, boxes: Boxes, most: int, grid: VoxelGrid | N
     return box_query_in_torch(points, boxes, most)
 
 
-def _queried_on_cpu(points: torch.Tensor, boxes: Boxes, most: int, grid: VoxelGrid | None) -> Neighbourhoods:
-    cells = grid or point_grid(points, _CELL)
-    assert cells is not None  # the points are on a CPU
-    pose, c, low, high = (value.numpy().astype(np.float64) for value in boxes)
-
-    def search(start, stop, counts, found):  # type: ignore[no-untyped-def]
-        _search(
-            pose, c, low, high, cells.points, cells.order, cells.start, cells.origin, cells.shape, cells.cell,
-            start, stop, counts, found,
-        )  # fmt: skip
-
-    return collect(search, len(c), most)
+def _queried_on_cpu(points: torch.Tensor, boxes: Boxes, most: int, buckets: Buckets | None) -> Neighbourhoods:
+    given = buckets or in_buckets(points.float().numpy())
+    axes = boxes.rotation.transpose(1, 2).double().contiguous().numpy()
+    middle, half = boxes.middle().numpy(), boxes.half().numpy()
+    return collect(
+        lambda start, stop, counts, found: _search(axes, middle, half, given, start, stop, counts, found),
+        len(middle),
+        most,
+    )
 
 
 def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbourhoods:
@@ -89,38 +83,59 @@ def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbo
     return from_mask(torch.cat(masks), most)
 
 
+@inlined
+def _apart(lower, upper, b, x, y, z, hx, hy, hz, middle):  # type: ignore[no-untyped-def]
+    """Whether one of a turned box's sides keeps box ``b``, along the world's axes, off it; for some that do not meet
+    none does."""
+    cx, cy, cz = (lower[b, 0] + upper[b, 0]) / 2, (lower[b, 1] + upper[b, 1]) / 2, (lower[b, 2] + upper[b, 2]) / 2
+    ex, ey, ez = upper[b, 0] - cx, upper[b, 1] - cy, upper[b, 2] - cz
+    dx, dy, dz = cx - middle[0], cy - middle[1], cz - middle[2]
+    return (
+        (abs(x[0] * dx + x[1] * dy + x[2] * dz) > hx + abs(x[0]) * ex + abs(x[1]) * ey + abs(x[2]) * ez)
+        | (abs(y[0] * dx + y[1] * dy + y[2] * dz) > hy + abs(y[0]) * ex + abs(y[1]) * ey + abs(y[2]) * ez)
+        | (abs(z[0] * dx + z[1] * dy + z[2] * dz) > hz + abs(z[0]) * ex + abs(z[1]) * ey + abs(z[2]) * ez)
+    )
+
+
 @compiled
-def _search(pose, c, low, high, points, order, starts, origin, shape, cell, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near = np.empty(len(points) + 1, np.int32)
-    middle, half = np.empty(3), np.empty(3)
+def _search(axes, middle, half, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
+    near, outside = np.empty(points.count + SIZE, np.int32), np.empty(SIZE, np.int32)
     for g in range(begin, end):
-        r = pose[g]
-        for a in range(3):
-            half[a] = (high[g, a] - low[g, a]) / 2
-            middle[a] = c[g, a]
-        for a in range(3):
-            along = (high[g, a] + low[g, a]) / 2
-            for b in range(3):
-                middle[b] += r[b, a] * along
-        i0, i1, j0, j1, k0, k1 = cells_of_box(r, middle, half, origin, cell, shape)
-        if k1 < k0:
-            continue
-        xx, xy, xz = r[0, 0], r[1, 0], r[2, 0]
-        yx, yy, yz = r[0, 1], r[1, 1], r[2, 1]
-        zx, zy, zz = r[0, 2], r[1, 2], r[2, 2]
-        mx, my, mz = middle
-        hx, hy, hz = half
+        # float32 is sure of all points but those next to the surface.
+        tolerance = 1e-6 * (np.abs(middle[g]).max() + half[g].sum())
+        m0, m1, m2 = np.float32(middle[g, 0]), np.float32(middle[g, 1]), np.float32(middle[g, 2])
+        hx, hy, hz = half[g, 0], half[g, 1], half[g, 2]
+        x, y, z = axes[g, 0].astype(np.float32), axes[g, 1].astype(np.float32), axes[g, 2].astype(np.float32)
+        x0, x1, x2, y0, y1, y2, z0, z1, z2 = x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+        ix, iy, iz = np.float32(hx - tolerance), np.float32(hy - tolerance), np.float32(hz - tolerance)
+        px, py, pz = np.float32(hx + tolerance), np.float32(hy + tolerance), np.float32(hz + tolerance)
         n = 0
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                row = (i * shape[1] + j) * shape[2]
-                for p in range(starts[row + k0], starts[row + k1 + 1]):
-                    dx, dy, dz = points[p, 0] - mx, points[p, 1] - my, points[p, 2] - mz
+        for c in range(len(points.group_lower)):
+            if _apart(points.group_lower, points.group_upper, c, x, y, z, px, py, pz, (m0, m1, m2)):
+                continue
+            for b in range(c * GROUP, min((c + 1) * GROUP, len(points.rows))):
+                if _apart(points.lower, points.upper, b, x, y, z, px, py, pz, (m0, m1, m2)):
+                    continue
+                bx, by, bz, rows = points.points[b, 0], points.points[b, 1], points.points[b, 2], points.rows[b]
+                unsure = np.int32(0)
+                for i in range(SIZE):
+                    dx, dy, dz = bx[i] - m0, by[i] - m1, bz[i] - m2
+                    u = abs(x0 * dx + x1 * dy + x2 * dz)
+                    v = abs(y0 * dx + y1 * dy + y2 * dz)
+                    w = abs(z0 * dx + z1 * dy + z2 * dz)
+                    no = np.int32((u >= px) | (v >= py) | (w >= pz))
+                    outside[i] = no
+                    unsure += np.int32((u > ix) | (v > iy) | (w > iz)) - no
+                if unsure:
+                    for i in range(SIZE):
+                        dx, dy, dz = bx[i] - middle[g, 0], by[i] - middle[g, 1], bz[i] - middle[g, 2]
+                        outside[i] = not (
+                            (abs(axes[g, 0, 0] * dx + axes[g, 0, 1] * dy + axes[g, 0, 2] * dz) < hx)
+                            & (abs(axes[g, 1, 0] * dx + axes[g, 1, 1] * dy + axes[g, 1, 2] * dz) < hy)
+                            & (abs(axes[g, 2, 0] * dx + axes[g, 2, 1] * dy + axes[g, 2, 2] * dz) < hz)
+                        )
+                for i in range(min(SIZE, points.count - b * SIZE)):
                     # Each is written down, and stays if it is inside: branches would often be guessed wrong.
-                    near[n] = order[p]
-                    n += (
-                        (abs(xx * dx + xy * dy + xz * dz) < hx)
-                        & (abs(yx * dx + yy * dy + yz * dz) < hy)
-                        & (abs(zx * dx + zy * dy + zz * dz) < hz)
-                    )
+                    near[n] = rows[i]
+                    n += 1 - outside[i]
         keep_first(near, n, g, counts, found)

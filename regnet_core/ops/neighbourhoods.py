@@ -17,7 +17,7 @@ Indices = npt.NDArray[np.int64]
 
 
 class Neighbourhoods(NamedTuple):
-    """The neighbours of C centres; those of centre c are ``indices[offsets[c]:offsets[c + 1]]``, in ascending order."""
+    """The neighbours of C centres; those of centre c are ``indices[offsets[c]:offsets[c + 1]]``, in any order."""
 
     indices: torch.Tensor
     """(E,) int64: rows of the points."""
@@ -117,7 +117,7 @@ def from_mask(inside: torch.Tensor, most: int) -> Neighbourhoods:
 
 @inlined
 def keep_first(near, n, centre, counts, found):  # type: ignore[no-untyped-def]
-    """Write the smallest of ``near[:n]`` (in any order, which changes) to the centre's row of ``found``, ascending."""
+    """Write the smallest of ``near[:n]`` (in any order, which changes) to the centre's row of ``found``."""
     most = found.shape[1]
     kept = min(n, most)
     low, high = 0, n - 1 if n > most else 0
@@ -139,15 +139,8 @@ def keep_first(near, n, centre, counts, found):  # type: ignore[no-untyped-def]
             low = a
         else:
             break
-    if kept > 96:
-        found[centre, :kept] = np.sort(near[:kept])
-    else:  # an insertion sort, the fastest for so few
-        for e in range(kept):
-            value, b = near[e], e - 1
-            while b >= 0 and found[centre, b] > value:
-                found[centre, b + 1] = found[centre, b]
-                b -= 1
-            found[centre, b + 1] = value
+    for e in range(kept):
+        found[centre, e] = near[e]
     counts[centre] = kept
 
 
