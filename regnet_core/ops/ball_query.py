@@ -12,9 +12,10 @@ import torch
 
 from regnet_core.checks import check_range
 from regnet_core.errors import InvalidInputError
-from regnet_core.ops.buckets import GROUP, SIZE, Buckets, gap_to_box, in_buckets
+from regnet_core.ops.buckets import BUCKET_BYTES, Buckets, buckets_near_box, in_buckets, own_bits
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
+from regnet_core.ops.lanes import in_ball, lowest_bit
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
 
 _CHUNK = 1 << 24
@@ -83,32 +84,26 @@ def _within(points: torch.Tensor, centres: torch.Tensor, radius: float) -> torch
 
 @compiled
 def _search(queries, radius, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near, gaps = np.empty(points.count + SIZE, np.int32), np.empty(SIZE, np.float32)
+    near, buckets, at = np.empty(points.count, np.int32), np.empty(len(points.rows), np.int64), points.points.ctypes.data
     exact = radius * radius
     # float32 is sure of all points but those next to the surface.
     inside, perhaps = np.float32(exact * (1.0 - 1e-5)), np.float32(exact * (1.0 + 1e-5))
     for q in range(begin, end):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         n = 0
-        for g in range(len(points.group_lower)):
-            if gap_to_box(points.group_lower, points.group_upper, g, x, y, z) > perhaps:
-                continue
-            for b in range(g * GROUP, min((g + 1) * GROUP, len(points.rows))):
-                if gap_to_box(points.lower, points.upper, b, x, y, z) > perhaps:
-                    continue
-                px, py, pz, rows = points.points[b, 0], points.points[b, 1], points.points[b, 2], points.rows[b]
-                unsure = np.int32(0)
-                for i in range(SIZE):
-                    dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
-                    gap = dx * dx + dy * dy + dz * dz
-                    gaps[i] = gap
-                    unsure += np.int32((gap > inside) & (gap <= perhaps))
-                if unsure:
-                    for i in range(SIZE):
-                        dx, dy, dz = np.float64(px[i]) - x, np.float64(py[i]) - y, np.float64(pz[i]) - z
-                        gaps[i] = np.float32(0.0) if dx * dx + dy * dy + dz * dz <= exact else np.float32(np.inf)
-                for i in range(min(SIZE, points.count - b * SIZE)):
-                    # Without a branch: written over by the next one where it is too far.
-                    near[n] = rows[i]
-                    n += int(gaps[i] <= perhaps)
+        for k in range(buckets_near_box(points, x, y, z, x, y, z, perhaps, buckets)):
+            b = buckets[k]
+            some = in_ball(at + b * BUCKET_BYTES, x, y, z, perhaps) & own_bits(points, b)
+            sure = in_ball(at + b * BUCKET_BYTES, x, y, z, inside)
+            while some != 0:
+                i = lowest_bit(some)
+                some &= some - 1
+                near[n] = points.rows[b, i]
+                if (sure >> i) & 1:
+                    n += 1
+                else:
+                    dx = np.float64(points.points[b, 0, i]) - x
+                    dy = np.float64(points.points[b, 1, i]) - y
+                    dz = np.float64(points.points[b, 2, i]) - z
+                    n += int(dx * dx + dy * dy + dz * dz <= exact)
         keep_first(near, n, q, counts, found)

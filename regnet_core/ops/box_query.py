@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from regnet_core.ops.buckets import GROUP, SIZE, Buckets, in_buckets
-from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.buckets import BOX_BYTES, BUCKET_BYTES, GROUP, Buckets, in_buckets, own_bits
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
+from regnet_core.ops.lanes import boxes_at_turned_box, in_turned_box, lowest_bit
 from regnet_core.ops.neighbourhoods import Neighbourhoods, collect, from_mask, keep_first
 
 _CHUNK = 1 << 23
@@ -83,59 +84,54 @@ def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbo
     return from_mask(torch.cat(masks), most)
 
 
-@inlined
-def _apart(lower, upper, b, x, y, z, hx, hy, hz, middle):  # type: ignore[no-untyped-def]
-    """Whether one of a turned box's sides keeps box ``b``, along the world's axes, off it; for some that do not meet
-    none does."""
-    cx, cy, cz = (lower[b, 0] + upper[b, 0]) / 2, (lower[b, 1] + upper[b, 1]) / 2, (lower[b, 2] + upper[b, 2]) / 2
-    ex, ey, ez = upper[b, 0] - cx, upper[b, 1] - cy, upper[b, 2] - cz
-    dx, dy, dz = cx - middle[0], cy - middle[1], cz - middle[2]
-    return (
-        (abs(x[0] * dx + x[1] * dy + x[2] * dz) > hx + abs(x[0]) * ex + abs(x[1]) * ey + abs(x[2]) * ez)
-        | (abs(y[0] * dx + y[1] * dy + y[2] * dz) > hy + abs(y[0]) * ex + abs(y[1]) * ey + abs(y[2]) * ez)
-        | (abs(z[0] * dx + z[1] * dy + z[2] * dz) > hz + abs(z[0]) * ex + abs(z[1]) * ey + abs(z[2]) * ez)
-    )
+@compiled
+def _search(axes, middle, half, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
+    near, at = np.empty(points.count, np.int32), points.points.ctypes.data
+    groups, boxes = points.groups.ctypes.data, points.boxes.ctypes.data
+    for q in range(begin, end):
+        # float32 is sure of all points but those next to the surface.
+        tolerance = 1e-6 * (np.abs(middle[q]).max() + half[q].sum())
+        x, y, z = axes[q, 0].astype(np.float32), axes[q, 1].astype(np.float32), axes[q, 2].astype(np.float32)
+        a0, a1, a2, b0, b1, b2, c0, c1, c2 = x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+        m0, m1, m2 = np.float32(middle[q, 0]), np.float32(middle[q, 1]), np.float32(middle[q, 2])
+        hx, hy, hz = half[q, 0], half[q, 1], half[q, 2]
+        u, v, w = np.float32(hx + tolerance), np.float32(hy + tolerance), np.float32(hz + tolerance)
+        iu, iv, iw = np.float32(hx - tolerance), np.float32(hy - tolerance), np.float32(hz - tolerance)
+        n = 0
+        for s in range(len(points.groups)):
+            some_groups = boxes_at_turned_box(
+                groups + s * BOX_BYTES, a0, a1, a2, b0, b1, b2, c0, c1, c2, m0, m1, m2, u, v, w
+            )
+            while some_groups != 0:
+                g = s * GROUP + lowest_bit(some_groups)
+                some_groups &= some_groups - 1
+                some_buckets = boxes_at_turned_box(
+                    boxes + g * BOX_BYTES, a0, a1, a2, b0, b1, b2, c0, c1, c2, m0, m1, m2, u, v, w
+                )
+                while some_buckets != 0:
+                    b = g * GROUP + lowest_bit(some_buckets)
+                    some_buckets &= some_buckets - 1
+                    place = at + b * BUCKET_BYTES
+                    some = in_turned_box(place, a0, a1, a2, b0, b1, b2, c0, c1, c2, m0, m1, m2, u, v, w)
+                    some &= own_bits(points, b)
+                    sure = in_turned_box(place, a0, a1, a2, b0, b1, b2, c0, c1, c2, m0, m1, m2, iu, iv, iw)
+                    while some != 0:
+                        i = lowest_bit(some)
+                        some &= some - 1
+                        near[n] = points.rows[b, i]
+                        if (sure >> i) & 1:
+                            n += 1
+                        else:
+                            n += int(_is_inside(axes[q], middle[q], half[q], points.points[b], i))
+        keep_first(near, n, q, counts, found)
 
 
 @compiled
-def _search(axes, middle, half, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near, outside = np.empty(points.count + SIZE, np.int32), np.empty(SIZE, np.int32)
-    for g in range(begin, end):
-        # float32 is sure of all points but those next to the surface.
-        tolerance = 1e-6 * (np.abs(middle[g]).max() + half[g].sum())
-        m0, m1, m2 = np.float32(middle[g, 0]), np.float32(middle[g, 1]), np.float32(middle[g, 2])
-        hx, hy, hz = half[g, 0], half[g, 1], half[g, 2]
-        x, y, z = axes[g, 0].astype(np.float32), axes[g, 1].astype(np.float32), axes[g, 2].astype(np.float32)
-        x0, x1, x2, y0, y1, y2, z0, z1, z2 = x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
-        ix, iy, iz = np.float32(hx - tolerance), np.float32(hy - tolerance), np.float32(hz - tolerance)
-        px, py, pz = np.float32(hx + tolerance), np.float32(hy + tolerance), np.float32(hz + tolerance)
-        n = 0
-        for c in range(len(points.group_lower)):
-            if _apart(points.group_lower, points.group_upper, c, x, y, z, px, py, pz, (m0, m1, m2)):
-                continue
-            for b in range(c * GROUP, min((c + 1) * GROUP, len(points.rows))):
-                if _apart(points.lower, points.upper, b, x, y, z, px, py, pz, (m0, m1, m2)):
-                    continue
-                bx, by, bz, rows = points.points[b, 0], points.points[b, 1], points.points[b, 2], points.rows[b]
-                unsure = np.int32(0)
-                for i in range(SIZE):
-                    dx, dy, dz = bx[i] - m0, by[i] - m1, bz[i] - m2
-                    u = abs(x0 * dx + x1 * dy + x2 * dz)
-                    v = abs(y0 * dx + y1 * dy + y2 * dz)
-                    w = abs(z0 * dx + z1 * dy + z2 * dz)
-                    no = np.int32((u >= px) | (v >= py) | (w >= pz))
-                    outside[i] = no
-                    unsure += np.int32((u > ix) | (v > iy) | (w > iz)) - no
-                if unsure:
-                    for i in range(SIZE):
-                        dx, dy, dz = bx[i] - middle[g, 0], by[i] - middle[g, 1], bz[i] - middle[g, 2]
-                        outside[i] = not (
-                            (abs(axes[g, 0, 0] * dx + axes[g, 0, 1] * dy + axes[g, 0, 2] * dz) < hx)
-                            & (abs(axes[g, 1, 0] * dx + axes[g, 1, 1] * dy + axes[g, 1, 2] * dz) < hy)
-                            & (abs(axes[g, 2, 0] * dx + axes[g, 2, 1] * dy + axes[g, 2, 2] * dz) < hz)
-                        )
-                for i in range(min(SIZE, points.count - b * SIZE)):
-                    # Each is written down, and stays if it is inside: branches would often be guessed wrong.
-                    near[n] = rows[i]
-                    n += 1 - outside[i]
-        keep_first(near, n, g, counts, found)
+def _is_inside(axes, middle, half, points, i):  # type: ignore[no-untyped-def]
+    inside = True
+    for a in range(3):
+        along = 0.0
+        for k in range(3):
+            along += axes[a, k] * (points[k, i] - middle[k])
+        inside &= abs(along) < half[a]
+    return inside

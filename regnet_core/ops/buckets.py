@@ -13,12 +13,13 @@ import numpy.typing as npt
 import torch
 
 from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.lanes import BOXES, POINTS, boxes_near_box, lowest_bit, near_box
 from regnet_core.ops.voxel_grid import bounds
 
-SIZE = 32
-"""Points of a bucket."""
-GROUP = 16
-"""Buckets of a group."""
+SIZE, GROUP = POINTS, BOXES
+"""Points of a bucket; buckets of a group, and groups that are looked at together."""
+BOX_BYTES, BUCKET_BYTES, VALUES_BYTES = 4 * 6 * GROUP, 4 * 3 * SIZE, 4 * SIZE
+"""From one group's boxes to the next one's; from one bucket's points to the next one's; and what is one for each."""
 _BITS = 8
 """Of the number of a cell along an axis, by which points are sorted."""
 
@@ -26,23 +27,24 @@ _BITS = 8
 class Buckets(NamedTuple):
     """N points along a curve that stays in small cubes (Morton's), in B buckets of ``SIZE`` and G groups of these.
 
-    The last bucket is filled up with its last point.
+    The last bucket is filled up with its last point, groups with boxes that nothing is near.
     """
 
     points: npt.NDArray[np.float32]
     """(B, 3, SIZE): the x of a bucket's points, then their y, then their z [m]."""
     rows: npt.NDArray[np.int32]
     """(B, SIZE): which row of the input each of them is."""
-    lower: npt.NDArray[np.float32]
-    """(B, 3): lower corner of each bucket's bounding box [m]."""
-    upper: npt.NDArray[np.float32]
-    """(B, 3): upper corner [m]."""
-    group_lower: npt.NDArray[np.float32]
-    """(G, 3): lower corner of each group's bounding box [m]."""
-    group_upper: npt.NDArray[np.float32]
-    """(G, 3): upper corner [m]."""
+    boxes: npt.NDArray[np.float32]
+    """(G, 6, GROUP): bounding boxes of buckets, the x, y, z of their lower corners and of their upper ones [m]."""
+    groups: npt.NDArray[np.float32]
+    """(ceil(G / GROUP), 6, GROUP): those of groups [m]."""
     count: int
     """N."""
+
+    def sides(self) -> npt.NDArray[np.float32]:
+        """(B, 3): of the buckets' boxes [m]."""
+        sides = self.boxes[:, 3:] - self.boxes[:, :3]
+        return sides.transpose(0, 2, 1).reshape(-1, 3)[: len(self.rows)]
 
 
 def in_buckets(points: npt.NDArray[np.float32]) -> Buckets:
@@ -53,10 +55,8 @@ def in_buckets(points: npt.NDArray[np.float32]) -> Buckets:
     made = Buckets(
         np.empty((number, 3, SIZE), np.float32),
         np.empty((number, SIZE), np.int32),
-        np.empty((number, 3), np.float32),
-        np.empty((number, 3), np.float32),
-        np.empty((groups, 3), np.float32),
-        np.empty((groups, 3), np.float32),
+        _nowhere(groups),
+        _nowhere(-(-groups // GROUP)),
         count,
     )
     if count:
@@ -65,6 +65,12 @@ def in_buckets(points: npt.NDArray[np.float32]) -> Buckets:
         extent = max(float((upper - lower).max()), 1e-6)
         _fill(points, _along_the_curve(points, lower, np.float32((1 << _BITS) / extent)), made)
     return made
+
+
+def _nowhere(count: int) -> npt.NDArray[np.float32]:
+    boxes = np.full((count, 6, GROUP), np.inf, np.float32)
+    boxes[:, 3:] = -np.inf
+    return boxes
 
 
 def point_buckets(points: torch.Tensor) -> Buckets | None:
@@ -106,61 +112,60 @@ def _along_the_curve(points, origin, scale):  # type: ignore[no-untyped-def]
 def _fill(points, order, made):  # type: ignore[no-untyped-def]
     last = len(order) - 1
     for b in range(len(made.rows)):
-        g = b // GROUP
+        g, place = b // GROUP, b % GROUP
         for i in range(SIZE):
             row = order[min(b * SIZE + i, last)]
             made.rows[b, i] = row
             for a in range(3):
                 made.points[b, a, i] = points[row, a]
+        group = made.groups[g // GROUP]
         for a in range(3):
             low, high = made.points[b, a].min(), made.points[b, a].max()
-            made.lower[b, a], made.upper[b, a] = low, high
-            first = b % GROUP == 0
-            made.group_lower[g, a] = low if first else min(made.group_lower[g, a], low)
-            made.group_upper[g, a] = high if first else max(made.group_upper[g, a], high)
+            made.boxes[g, a, place], made.boxes[g, 3 + a, place] = low, high
+            group[a, g % GROUP] = min(group[a, g % GROUP], low)
+            group[3 + a, g % GROUP] = max(group[3 + a, g % GROUP], high)
 
 
 @inlined
-def gap_to_box(lower, upper, b, x, y, z):  # type: ignore[no-untyped-def]
-    """The squared distance between box ``b`` and a point: rounded as distances to what is in the box are, it is no
-    more than any of them."""
-    zero = np.float32(0.0)
-    x = max(lower[b, 0] - x, x - upper[b, 0], zero)
-    y = max(lower[b, 1] - y, y - upper[b, 1], zero)
-    z = max(lower[b, 2] - z, z - upper[b, 2], zero)
-    return x * x + y * y + z * z
+def buckets_near_box(buckets, x0, y0, z0, x1, y1, z1, squared, found):  # type: ignore[no-untyped-def]
+    """Write down the buckets within a distance, of which the square is given, of a box; and say how many these are."""
+    n, groups, boxes = 0, buckets.groups.ctypes.data, buckets.boxes.ctypes.data
+    for s in range(len(buckets.groups)):
+        some = boxes_near_box(groups + s * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)  # type: ignore[call-arg]
+        while some != 0:
+            g = s * GROUP + lowest_bit(some)  # type: ignore[call-arg]
+            some &= some - 1
+            own = boxes_near_box(boxes + g * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)  # type: ignore[call-arg]
+            while own != 0:
+                found[n] = g * GROUP + lowest_bit(own)  # type: ignore[call-arg]
+                own &= own - 1
+                n += 1
+    return n
 
 
 @inlined
-def near_bucket(queries, b, points, squared, places):  # type: ignore[no-untyped-def]
+def own_bits(buckets, b):  # type: ignore[no-untyped-def]
+    """A bit for each point of bucket ``b`` that is not there to fill it up."""
+    left = buckets.count - b * SIZE
+    return (1 << SIZE) - 1 if left >= SIZE else (1 << left) - 1
+
+
+@inlined
+def near_bucket(queries, b, points, squared, found, places):  # type: ignore[no-untyped-def]
     """Write down which points lie within a distance of bucket ``b``'s box, and say how many these are.
 
-    ``squared`` is the distance's square; ``places`` has room for N + 1 numbers, SIZE * bucket + place in the bucket.
+    ``squared`` is the distance's square; ``found`` has room for all buckets; ``places`` has room for all points, and
+    gets SIZE * bucket + place in the bucket.
     """
-    n, zero, gaps = 0, np.float32(0.0), np.empty(SIZE, np.float32)
-    # In variables of their own: the compiler cannot know that writing to ``places`` leaves the box as it is.
-    x0, y0, z0 = queries.lower[b, 0], queries.lower[b, 1], queries.lower[b, 2]
-    x1, y1, z1 = queries.upper[b, 0], queries.upper[b, 1], queries.upper[b, 2]
-    for g in range(len(points.group_lower)):
-        dx = max(points.group_lower[g, 0] - x1, x0 - points.group_upper[g, 0], zero)
-        dy = max(points.group_lower[g, 1] - y1, y0 - points.group_upper[g, 1], zero)
-        dz = max(points.group_lower[g, 2] - z1, z0 - points.group_upper[g, 2], zero)
-        if dx * dx + dy * dy + dz * dz > squared:
-            continue
-        for c in range(g * GROUP, min((g + 1) * GROUP, len(points.rows))):
-            dx = max(points.lower[c, 0] - x1, x0 - points.upper[c, 0], zero)
-            dy = max(points.lower[c, 1] - y1, y0 - points.upper[c, 1], zero)
-            dz = max(points.lower[c, 2] - z1, z0 - points.upper[c, 2], zero)
-            if dx * dx + dy * dy + dz * dz > squared:
-                continue
-            x, y, z = points.points[c, 0], points.points[c, 1], points.points[c, 2]
-            for i in range(SIZE):
-                dx = max(max(x[i] - x1, x0 - x[i]), zero)
-                dy = max(max(y[i] - y1, y0 - y[i]), zero)
-                dz = max(max(z[i] - z1, z0 - z[i]), zero)
-                gaps[i] = dx * dx + dy * dy + dz * dz
-            for i in range(min(SIZE, points.count - c * SIZE)):
-                # Without a branch: written over by the next one where it is too far.
-                places[n] = c * SIZE + i
-                n += int(gaps[i] <= squared)
+    g, place = b // GROUP, b % GROUP
+    x0, y0, z0 = queries.boxes[g, 0, place], queries.boxes[g, 1, place], queries.boxes[g, 2, place]
+    x1, y1, z1 = queries.boxes[g, 3, place], queries.boxes[g, 4, place], queries.boxes[g, 5, place]
+    n, at = 0, points.points.ctypes.data
+    for k in range(buckets_near_box(points, x0, y0, z0, x1, y1, z1, squared, found)):
+        c = found[k]
+        some = near_box(at + c * BUCKET_BYTES, x0, y0, z0, x1, y1, z1, squared) & own_bits(points, c)  # type: ignore[call-arg]
+        while some != 0:
+            places[n] = c * SIZE + lowest_bit(some)  # type: ignore[call-arg]
+            some &= some - 1
+            n += 1
     return n

@@ -10,9 +10,10 @@ import numpy as np
 import torch
 
 from regnet_core.errors import InvalidInputError
-from regnet_core.ops.buckets import GROUP, SIZE, Buckets, gap_to_box, point_buckets
+from regnet_core.ops.buckets import BOX_BYTES, BUCKET_BYTES, GROUP, SIZE, Buckets, point_buckets
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
+from regnet_core.ops.lanes import boxes_with, boxes_within, draw, largest_of_boxes, lowest_bit, points_with
 
 
 def farthest_points(points: torch.Tensor, count: int, buckets: Buckets | None = None) -> torch.Tensor:
@@ -66,41 +67,49 @@ def farthest_points_in_torch(points: torch.Tensor, count: int, start: int = 0) -
 @compiled
 def _draw(buckets, points, drawn):  # type: ignore[no-untyped-def]
     """Only in buckets that have points farther from all drawn ones than from the last one does anything change."""
-    count, groups = len(buckets.rows), len(buckets.group_lower)
-    infinity, zero = np.float32(np.inf), np.float32(0.0)
-    # Squared distances to what has been drawn: of each point, and the farthest of each bucket and each group.
-    nearest = np.full((count, SIZE), infinity)
-    farthest, farthest_of_group = np.full(count, infinity), np.full(groups, infinity)
-    # The bits of numbers that are not below 0 are in the order of the numbers, and the largest of several whole
-    # numbers is found at a time.
-    nearest_bits, farthest_bits = nearest.view(np.int32), farthest.view(np.int32)
-    last = 0
+    known = np.full(buckets.rows.shape, np.float32(np.inf))
+    # The farthest of each bucket and each group; those that are not there stay at 0.
+    farthest = np.zeros((len(buckets.boxes), GROUP), np.float32)
+    of_groups = np.zeros((len(buckets.groups), GROUP), np.float32)
+    for b in range(len(known)):
+        farthest[b // GROUP, b % GROUP] = np.inf
+    for g in range(len(farthest)):
+        of_groups[g // GROUP, g % GROUP] = np.inf
+    groups, boxes, at = buckets.groups.ctypes.data, buckets.boxes.ctypes.data, buckets.points.ctypes.data
+    limits, limits_of_groups, distances = farthest.ctypes.data, of_groups.ctypes.data, known.ctypes.data
+    row, values = GROUP * 4, SIZE * 4
+    last = np.int64(0)
     for n in range(len(drawn)):
         drawn[n] = last
         x, y, z = points[last, 0], points[last, 1], points[last, 2]
-        top = zero
-        for g in range(groups):
-            if gap_to_box(buckets.group_lower, buckets.group_upper, g, x, y, z) < farthest_of_group[g]:
-                best = zero
-                for b in range(g * GROUP, min((g + 1) * GROUP, count)):
-                    if gap_to_box(buckets.lower, buckets.upper, b, x, y, z) < farthest[b]:
-                        px, py, pz = buckets.points[b, 0], buckets.points[b, 1], buckets.points[b, 2]
-                        known, bits, most = nearest[b], nearest_bits[b], np.int32(0)
-                        for i in range(SIZE):
-                            dx, dy, dz = px[i] - x, py[i] - y, pz[i] - z
-                            squared, before = dx * dx + dy * dy + dz * dz, known[i]
-                            known[i] = squared if squared < before else before
-                            own = bits[i]
-                            most = own if own > most else most
-                        farthest_bits[b] = most
-                    best = max(best, farthest[b])
-                farthest_of_group[g] = best
-            top = max(top, farthest_of_group[g])
-        last = len(points)
-        for g in range(groups):
-            if farthest_of_group[g] == top:
-                for b in range(g * GROUP, min((g + 1) * GROUP, count)):
-                    if farthest[b] == top:
-                        for i in range(SIZE):
-                            if nearest[b, i] == top:
-                                last = min(last, buckets.rows[b, i])
+        top = np.float32(0.0)
+        for s in range(len(of_groups)):
+            some = boxes_within(groups + s * BOX_BYTES, limits_of_groups + s * row, x, y, z)
+            while some != 0:
+                g = s * GROUP + lowest_bit(some)
+                some &= some - 1
+                own = boxes_within(boxes + g * BOX_BYTES, limits + g * row, x, y, z)
+                while own != 0:
+                    b = g * GROUP + lowest_bit(own)
+                    own &= own - 1
+                    farthest[g, b % GROUP] = draw(at + b * BUCKET_BYTES, distances + b * values, x, y, z)
+                of_groups[s, g % GROUP] = largest_of_boxes(limits + g * row)
+            top = max(top, largest_of_boxes(limits_of_groups + s * row))
+        last = np.int64(len(points))
+        for s in range(len(of_groups)):
+            some = boxes_with(limits_of_groups + s * row, top)
+            while some != 0:
+                g = s * GROUP + lowest_bit(some)
+                some &= some - 1
+                if g >= len(farthest):
+                    break
+                own = boxes_with(limits + g * row, top)
+                while own != 0:
+                    b = g * GROUP + lowest_bit(own)
+                    own &= own - 1
+                    if b >= len(known):
+                        break
+                    equal = points_with(distances + b * values, top)
+                    while equal != 0:
+                        last = min(last, np.int64(buckets.rows[b, lowest_bit(equal)]))
+                        equal &= equal - 1

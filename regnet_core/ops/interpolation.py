@@ -112,7 +112,7 @@ def three_nearest_in_torch(points: torch.Tensor, queries: torch.Tensor) -> tuple
 def _usual_reach(points: Buckets) -> float:
     """A radius within which most places among the points have three of them [m], from the buckets' sizes: on a surface,
     those of points that are evenly spread."""
-    sides = np.sort(points.upper - points.lower, axis=1)
+    sides = np.sort(points.sides(), axis=1)
     spacing = np.maximum(np.sqrt(sides[:, 1] * sides[:, 2] / SIZE), sides[:, 2] / SIZE)
     return max(1.3 * float(np.median(spacing)), 1e-4)
 
@@ -120,7 +120,7 @@ def _usual_reach(points: Buckets) -> float:
 @compiled
 def _search(queries, points, usual, begin, end, indices, squared):  # type: ignore[no-untyped-def]
     most = min(3, points.count)
-    places = np.empty(points.count + 1, np.int32)
+    places, found = np.empty(points.count, np.int32), np.empty(len(points.rows), np.int64)
     rows, at = np.empty(points.count, np.int32), np.empty((3, points.count), np.float32)
     near, nearest = np.empty((3, SIZE), np.float32), np.empty((3, SIZE), np.int32)
     x, y, z = at[0], at[1], at[2]
@@ -130,7 +130,7 @@ def _search(queries, points, usual, begin, end, indices, squared):  # type: igno
         qx, qy, qz = queries.points[b, 0], queries.points[b, 1], queries.points[b, 2]
         reach = usual
         while True:
-            n = near_bucket(queries, b, points, np.float32(reach * reach), places)
+            n = near_bucket(queries, b, points, np.float32(reach * reach), found, places)
             if n < most:
                 reach *= 2.0
                 continue

@@ -67,11 +67,11 @@ def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array
 
 @compiled
 def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # type: ignore[no-untyped-def]
-    places, at = _room(buckets.count)
+    found, places, at = _room(buckets)
     sums = np.empty((19, SIZE), np.float32)
     axes = sums[10:]
     for b in range(begin, end):
-        _moments(buckets, b, radius, places, at, sums)
+        _moments(buckets, b, radius, found, places, at, sums)
         _turn_to_axes(sums[4:])
         for i in range(min(SIZE, buckets.count - b * SIZE)):
             row = buckets.rows[b, i]
@@ -87,11 +87,11 @@ def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # t
 
 @compiled
 def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-untyped-def]
-    places, at = _room(buckets.count)
+    found, places, at = _room(buckets)
     sums = np.empty((10, SIZE), np.float32)
     zero, one = np.float32(0.0), np.float32(1.0)
     for b in range(begin, end):
-        _moments(buckets, b, radius, places, at, sums)
+        _moments(buckets, b, radius, found, places, at, sums)
         for i in range(SIZE):
             trace = sums[4, i] + sums[5, i] + sums[6, i]
             scale, whole = (np.float32(3.0) / trace, one) if trace >= least else (zero, zero)
@@ -108,17 +108,18 @@ def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-unty
 
 
 @compiled
-def _room(count):  # type: ignore[no-untyped-def]
-    """For the places and positions of all points, in full registers."""
-    return np.empty(count + 1, np.int32), np.empty((3, count + SIZE), np.float32)
+def _room(buckets):  # type: ignore[no-untyped-def]
+    """For all buckets, and the places and positions of all points, in full registers."""
+    count = buckets.count
+    return np.empty(len(buckets.rows), np.int64), np.empty(count, np.int32), np.empty((3, count + SIZE), np.float32)
 
 
 @compiled
-def _moments(buckets, b, radius, places, at, sums):  # type: ignore[no-untyped-def]
+def _moments(buckets, b, radius, found, places, at, sums):  # type: ignore[no-untyped-def]
     """Of the neighbourhoods of bucket ``b``: how many they have, their mean as seen from each point, and xx, yy, zz,
     xy, xz, yz of their covariance -> (10, SIZE)."""
     x, y, z = at[0], at[1], at[2]
-    n = near_bucket(buckets, b, buckets, radius * radius, places)
+    n = near_bucket(buckets, b, buckets, radius * radius, found, places)
     for p in range(n):
         c, i = places[p] // SIZE, places[p] % SIZE
         x[p], y[p], z[p] = buckets.points[c, 0, i], buckets.points[c, 1, i], buckets.points[c, 2, i]
@@ -126,10 +127,10 @@ def _moments(buckets, b, radius, places, at, sums):  # type: ignore[no-untyped-d
     x[n:full], y[n:full], z[n:full] = _FAR, _FAR, _FAR
     for i in range(SIZE):
         px, py, pz = buckets.points[b, 0, i], buckets.points[b, 1, i], buckets.points[b, 2, i]
-        found = _sums(x[:full], y[:full], z[:full], px, py, pz, radius * radius)
-        sums[0, i], sums[1, i], sums[2, i], sums[3, i] = found[0], found[1], found[2], found[3]
-        sums[4, i], sums[5, i], sums[6, i] = found[4], found[5], found[6]
-        sums[7, i], sums[8, i], sums[9, i] = found[7], found[8], found[9]
+        (
+            sums[0, i], sums[1, i], sums[2, i], sums[3, i],
+            sums[4, i], sums[5, i], sums[6, i], sums[7, i], sums[8, i], sums[9, i],
+        ) = _sums(x[:full], y[:full], z[:full], px, py, pz, radius * radius)  # fmt: skip
     for i in range(SIZE):
         share = np.float32(1.0) / sums[0, i]
         mx, my, mz = share * sums[1, i], share * sums[2, i], share * sums[3, i]
