@@ -19,6 +19,8 @@ _FAR = np.float32(1e6)
 """Nothing is so far away [m]."""
 _TINY = np.float32(1e-30)
 """What is divided by is at least this."""
+_TRACE, _LEAST_TURN = np.float32(1e8), np.float32(1e-12)
+"""Of tensors that are turned, and by what: numbers too small for float32's exponent take a hundred times as long."""
 
 
 class LocalPlanes(NamedTuple):
@@ -169,9 +171,14 @@ def _sums(xs, ys, zs, x, y, z, squared):  # type: ignore[no-untyped-def]
 def _turn_to_axes(work):  # type: ignore[no-untyped-def]
     """Jacobi's rotations, of SIZE symmetric tensors at a time.
 
-    ``work`` (15, SIZE) has xx, yy, zz, xy, xz, yz of the tensors, of which the first three become the eigenvalues and
-    the others next to nothing; then room for matrices, row after row, that have the unit eigenvectors as columns.
+    ``work`` (15, SIZE) has xx, yy, zz, xy, xz, yz of the tensors, of which the first three become the eigenvalues, in
+    shares of ``_TRACE``, and the others next to nothing; then room for matrices, row after row, that have the unit
+    eigenvectors as columns.
     """
+    for e in range(SIZE):
+        scale = _TRACE / (work[0, e] + work[1, e] + work[2, e] + _TINY)
+        for k in range(6):
+            work[k, e] *= scale
     work[6:] = np.float32(0.0)
     work[6], work[10], work[14] = np.float32(1.0), np.float32(1.0), np.float32(1.0)
     for _ in range(_SWEEPS):
@@ -190,6 +197,7 @@ def _rotate(work, i, j, between, first_other, second_other):  # type: ignore[no-
         difference, twice = work[j, e] - work[i, e], np.float32(2.0) * entry
         t = twice / (np.sqrt(difference * difference + twice * twice) + _TINY + abs(difference))
         t = t if difference >= zero else -t
+        t = t if abs(t) > _LEAST_TURN else zero
         c = one / np.sqrt(t * t + one)
         s, change = t * c, t * entry
         a, b = work[first_other, e], work[second_other, e]
