@@ -132,9 +132,9 @@ def beyond(points: Array, ground: Array, margin: float = 0.1, max_width: float =
     patches = cluster(ground, cell=0.05)
     if len(points) == 0 or len(ground) < 4:
         return result
-    main = ground[(patches.size >= 0.1 * patches.size.max())[patches.label]]
+    main = (patches.size >= 0.1 * patches.size.max())[patches.label]
     try:
-        outline = ConvexHull(main[corner_candidates(main), :2]).equations
+        outline = ConvexHull(ground[corner_candidates(ground, main), :2]).equations
     except QhullError:  # all in one line
         return result
     beside = np.flatnonzero(outside(points, outline, margin))

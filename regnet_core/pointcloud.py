@@ -270,8 +270,8 @@ def _supporting(planes: list[Plane], points: Array, tolerance: float) -> Plane |
 def _carried(plane: Plane, points: Array, tolerance: float, reach: float = 0.5, cell: float = 0.03) -> int:
     """How many of the points (N, 3) stand on the plane, up to ``reach`` [m] above where it was seen or gaps of it."""
     height = plane.height(points)
-    low = points[:, :2].min(axis=0)
-    shape = (np.ptp(points[:, :2], axis=0) / cell).astype(np.int64) + 1
+    low, high = (corner[:2] for corner in bounds(points))
+    shape = ((high - low) / cell).astype(np.int64) + 1
     if float(shape[0]) * float(shape[1]) > 4e6:
         return 0
     index = ((points[:, :2] - low) / cell).astype(np.int64)

@@ -15,6 +15,7 @@ from regnet_core.completion import SolidModel, fill_columns, hidden_surface
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
 from regnet_core.ops.parallel import beside
+from regnet_core.ops.rows import taken
 from regnet_core.pointcloud import (
     Index,
     colors_as_floats,
@@ -160,7 +161,7 @@ def prepare_scene(
         thinned = _thinned(cloud, config)
         step.kept, step.rejected = len(thinned), len(cloud) - len(thinned)
     if len(thinned) < len(cloud):
-        cloud, source = cloud[thinned], source[thinned]
+        cloud, source = taken(cloud, thinned), source[thinned]
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
@@ -204,14 +205,16 @@ def _find_surface(
     base = plane or _lowest_level(cloud)
     height = base.height(cloud)
     above = np.flatnonzero(height > config.plane_clearance) if plane is not None else np.arange(len(cloud))
-    groups = cluster(cloud[above])
+    groups = cluster(taken(cloud, above))
     above = above[groups.size[groups.label] >= config.outlier_neighbours]
-    in_the_way = structure(cloud[above], height[above], config.max_object_height)
+    points = taken(cloud, above)
+    in_the_way = structure(points, height[above], config.max_object_height)
     if plane is not None:
-        in_the_way |= beyond(cloud[above], cloud[np.abs(height) <= config.plane_clearance])
-    wall, above = cloud[above[in_the_way]], above[~in_the_way]
+        on_plane = np.flatnonzero(np.abs(height) <= config.plane_clearance)
+        in_the_way |= beyond(points, taken(cloud, on_plane))
+    wall, above = points[in_the_way], above[~in_the_way]
 
-    points, source, height = cloud[above], source[above], height[above]
+    points, source, height = taken(cloud, above), source[above], height[above]
     radius = neighbourhood_radius(points, rng, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
     if radius > 1.5 * _MAX_RADIUS and len(points) > 0:
         warnings.append(
@@ -248,8 +251,8 @@ def _complete(
         objects = _with_hidden_sides(objects, model, base)
     if plane is None or not config.complete_hidden:
         return Completed(objects, None)
-    on_plane = np.abs(plane.height(cloud)) <= config.plane_clearance
-    return Completed(objects, unseen_ground(cloud[on_plane], objects.points))
+    on_plane = np.flatnonzero(np.abs(plane.height(cloud)) <= config.plane_clearance)
+    return Completed(objects, unseen_ground(taken(cloud, on_plane), objects.points))
 
 
 def _lowest_level(cloud: Array) -> Plane:

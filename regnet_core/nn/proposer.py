@@ -14,6 +14,7 @@ from regnet_core.nn.decoding import decode
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.precision import Precision
 from regnet_core.ops.nearby import near_any
+from regnet_core.ops.rows import taken
 from regnet_core.pointcloud import surroundings
 from regnet_core.proposer import Proposals
 from regnet_core.scene import Scene
@@ -47,18 +48,18 @@ class NetworkProposer:
         rows = surroundings(scene.points, scene.seen)
         # In random order: a ball query keeps the first points that it finds, and cameras give them row after row.
         rows = rng.permutation(rows)[: self.network.config.points]
-        eligible = near_any(seen, scene.points[rows], _SAME)
+        points = taken(scene.points, rows)
+        eligible = near_any(seen, points, _SAME)
         if not eligible.any():
             return Proposals(Grasps.empty(), 0)
-        clouds = self._clouds(scene, rows, gripper)
+        clouds = self._clouds(scene, points, rows, gripper)
         mask = torch.from_numpy(eligible).to(self.device)
         with precision.detecting(self.device, self.precision):
             output = self.network(clouds, gripper, eligible=mask)
         return Proposals(decode(self.network, output, clouds)[0], len(output.candidates.region))
 
-    def _clouds(self, scene: Scene, rows: np.ndarray, gripper: Gripper) -> Clouds:
-        points = torch.from_numpy(scene.points[rows]).float().to(self.device)
+    def _clouds(self, scene: Scene, points: np.ndarray, rows: np.ndarray, gripper: Gripper) -> Clouds:
         colors = None
         if self.network.config.colour and scene.colors is not None:
             colors = [torch.from_numpy(scene.colors[rows]).float().to(self.device)]
-        return Clouds.of([points], [gripper.width], colors)
+        return Clouds.of([torch.from_numpy(points).float().to(self.device)], [gripper.width], colors)

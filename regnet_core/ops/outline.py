@@ -16,14 +16,18 @@ _DIRECTIONS = np.array(
 """Counter-clockwise."""
 
 
-def corner_candidates(points: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
-    """Rows, ascending, of points (N, >= 2), N > 0, among which all corners of the convex hull of their x, y are.
+def corner_candidates(points: npt.NDArray[Any], wanted: Mask) -> npt.NDArray[np.int64]:
+    """Rows, ascending, of points among which all corners of the convex hull of their x, y are.
 
     Those inside the octagon of the farthest points in eight directions are left out, usually nearly all (Akl and
     Toussaint, 1978).
+
+    Args:
+        points: (N, >= 2).
+        wanted: (N,), which of them count, at least one.
     """
     rows = np.empty(len(points), np.int64)
-    return rows[: _not_inside(points, _DIRECTIONS, rows)]
+    return rows[: _not_inside(points, wanted, _DIRECTIONS, rows)]
 
 
 def outside(points: npt.NDArray[Any], outline: Array, margin: float) -> Mask:
@@ -40,10 +44,12 @@ def outside(points: npt.NDArray[Any], outline: Array, margin: float) -> Mask:
 
 
 @compiled
-def _not_inside(points, directions, rows):  # type: ignore[no-untyped-def]
+def _not_inside(points, wanted, directions, rows):  # type: ignore[no-untyped-def]
     count = len(directions)
     farthest, best = np.zeros(count, np.int64), np.full(count, -np.inf)
     for p in range(len(points)):
+        if not wanted[p]:
+            continue
         for d in range(count):
             value = directions[d, 0] * points[p, 0] + directions[d, 1] * points[p, 1]
             if value > best[d]:
@@ -65,7 +71,7 @@ def _not_inside(points, directions, rows):  # type: ignore[no-untyped-def]
             # The margin is for rounding: what is on a side stays.
             within &= a[s] * points[p, 0] + b[s] * points[p, 1] - c[s] > 1e-12
         rows[n] = p
-        n += not within
+        n += wanted[p] and not within
     return n
 
 

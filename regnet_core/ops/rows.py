@@ -68,6 +68,20 @@ def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     return rows[: _first(points, low, size, shape.astype(np.int64), table, rows)]
 
 
+def taken(points: Array, rows: npt.NDArray[np.int64]) -> Array:
+    """(K, 3): rows (K,) of points (N, 3); several times faster than indexing."""
+    result = np.empty((len(rows), 3))
+    _take(points, rows, result)
+    return result
+
+
+@compiled
+def _take(points, rows, result):  # type: ignore[no-untyped-def]
+    for i in range(len(rows)):
+        row = rows[i]
+        result[i, 0], result[i, 1], result[i, 2] = points[row, 0], points[row, 1], points[row, 2]
+
+
 @compiled
 def _valid(points, largest, rows):  # type: ignore[no-untyped-def]
     n = 0

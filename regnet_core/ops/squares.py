@@ -30,9 +30,13 @@ def closed(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
 
 
 def _along(values: npt.NDArray[Number], reach: int, axis: int, best: np.ufunc) -> npt.NDArray[Number]:
-    given = values if axis == 0 else values.T
-    found = given.copy()
-    for step in range(1, min(reach, len(given) - 1) + 1):
-        best(found[step:], given[:-step], out=found[step:])
-        best(found[:-step], given[step:], out=found[:-step])
+    found = values if axis == 0 else values.T
+    known = 0
+    while known < reach:  # what is known of three neighbours says it of all between them
+        step = min(2 * known + 1, reach - known)
+        given, found = found, found.copy()
+        if step < len(given):
+            best(found[step:], given[:-step], out=found[step:])
+            best(found[:-step], given[step:], out=found[:-step])
+        known += step
     return found if axis == 0 else found.T

@@ -153,7 +153,7 @@ def test_distance_of_the_kth_nearest(usual: float) -> None:
 
 def test_corners_of_a_hull_are_among_the_candidates() -> None:
     for points in (RNG.normal(size=(3000, 3)), RNG.random((3000, 2)), np.stack([np.arange(9.0)] * 2, axis=1)):
-        rows = corner_candidates(points)
+        rows = corner_candidates(points, np.ones(len(points), bool))
         if points.shape[1] == 2 and len(points) == 9:  # all in one line
             assert rows.tolist() == list(range(9))
             continue
