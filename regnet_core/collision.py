@@ -82,7 +82,7 @@ class SceneCollision:
                 g.cell, start, stop, counts,
             )  # fmt: skip
 
-        for_each_range(run, len(grasps), least=64)
+        for_each_range(run, len(grasps), each=3000)
         return Occupancy(*np.ascontiguousarray(counts.T))
 
     def with_points(self, grasps: Grasps, gripper: Gripper) -> Mask:

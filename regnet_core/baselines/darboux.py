@@ -48,7 +48,7 @@ def local_frames(grid: VoxelGrid, normals: Array, queries: Array, radius: float)
             products, total, count,
         )  # fmt: skip
 
-    for_each_range(run, len(queries))
+    for_each_range(run, len(queries), each=1500)
     vectors = np.linalg.eigh(products)[1]
     axis, normal = vectors[:, :, 0], vectors[:, :, 2]
     inward = np.einsum("qi,qi->q", normal, total) < 0.0

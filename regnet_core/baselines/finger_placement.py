@@ -72,7 +72,7 @@ def place_fingers(
             found, offset, reach,
         )  # fmt: skip
 
-    for_each_range(run, count, least=64)
+    for_each_range(run, count, each=5000)
     return Placement(found, offset, reach)
 
 

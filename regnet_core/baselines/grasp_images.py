@@ -49,7 +49,7 @@ def grasp_images(areas: ClosingAreas, channels: int) -> Images:
     def run(start: int, stop: int) -> None:
         _draw(points, normals, offsets, views, channels // len(views), start, stop, images)
 
-    for_each_range(run, len(areas), least=8)
+    for_each_range(run, len(areas), each=50_000)
     return images
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -61,7 +62,21 @@ def detecting(device: torch.device, precision: Precision) -> AbstractContextMana
     """The context in which a network detects on this device with ``cpu_precision``; GPUs have their own."""
     if device.type != "cpu":
         return autocast(device)
+    if precision == "int8":
+        return _small_steps()
     return torch.autocast("cpu", dtype=torch.bfloat16) if precision == "bf16" else nullcontext()
+
+
+@contextmanager
+def _small_steps() -> Iterator[None]:
+    """What is left to torch between products of bytes is too little to be worth waking its threads for: on two virtual
+    cores a detection with ``regnetv2-s`` took 58 ms with one thread of torch and 69 ms with two, beside our own two."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @cache

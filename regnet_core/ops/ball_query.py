@@ -60,6 +60,7 @@ def _queried_on_cpu(
         lambda start, stop, counts, found: _search(queries, radius, given, start, stop, counts, found),
         len(queries),
         most,
+        each=700,
     )
 
 

@@ -70,6 +70,7 @@ def _queried_on_cpu(points: torch.Tensor, boxes: Boxes, most: int, buckets: Buck
         lambda start, stop, counts, found: _search(axes, middle, half, given, start, stop, counts, found),
         len(middle),
         most,
+        each=1500,
     )
 
 

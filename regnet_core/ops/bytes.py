@@ -157,7 +157,8 @@ def largest_bytes(given: Sum, layers: Layers, outputs: int, offsets: torch.Tenso
     source, bounds = _Source.of(given), offsets.numpy()
     top = torch.zeros((len(bounds) - 1, outputs), dtype=torch.uint8)
     target, width = top.numpy(), _width(given.shape[1], layers)
-    for_each_range(lambda a, z: _largest(source, layers, width, bounds, a, z, target), len(target), least=16)
+    each = _row_time(layers) * given.shape[0] / max(len(target), 1)
+    for_each_range(lambda a, z: _largest(source, layers, width, bounds, a, z, target), len(target), each)
     return top
 
 
@@ -165,7 +166,7 @@ def floats_of_sum(given: Sum, layers: Layers, outputs: int) -> torch.Tensor:
     """What the layers, at least one, make of a sum of E rows -> (E, outputs) float32, none below 0."""
     source, (count, channels) = _Source.of(given), given.shape
     out, width = _floats(count, layers), _width(channels, layers)
-    for_each_range(lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), least=1)
+    for_each_range(lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), _TILE * _row_time(layers))
     return torch.from_numpy(out)[:count, :outputs]
 
 
@@ -177,7 +178,7 @@ def bytes_of_sum(given: Sum) -> torch.Tensor:
     def run(start: int, stop: int) -> None:
         _sum(source, start * ROWS, min(stop * ROWS, count), out[start * ROWS :])
 
-    for_each_range(run, len(out) // ROWS, least=64)
+    for_each_range(run, len(out) // ROWS, each=ROWS * 0.3 * channels)
     return torch.from_numpy(out)[:count, :channels]
 
 
@@ -190,13 +191,22 @@ def floats_of_rows(rows: torch.Tensor, layers: Layers, outputs: int, *, rectifie
     layers, scale = layers.for_unit(largest / 255.0), np.float32(255.0 / largest)
     out, width = _floats(count, layers), _width(rows.shape[1], layers)
     least = np.float32(0.0) if rectified else _LOWEST
-    for_each_range(lambda a, z: _floats_of_rows(source, scale, layers, width, least, a, z, out), _tiles(count), least=1)
+    for_each_range(
+        lambda a, z: _floats_of_rows(source, scale, layers, width, least, a, z, out),
+        _tiles(count),
+        _TILE * _row_time(layers),
+    )
     return torch.from_numpy(out)[:count, :outputs]
 
 
 def _width(channels: int, layers: Layers) -> int:
     """Bytes of a row's room for what goes in and comes out of each layer."""
     return COLUMNS * max(-(-channels // COLUMNS), int(layers.places[:, 1].max(initial=0)))
+
+
+def _row_time(layers: Layers) -> float:
+    """About how long a row takes on one core [ns]."""
+    return 20.0 + layers.weights.size / 190
 
 
 def _tiles(count: int) -> int:

@@ -44,9 +44,9 @@ def smoothed_columns(
     weights = (weights / weights.sum()).astype(np.float32)
     across = np.empty((*top.shape, len(z)), np.float32)
     density = np.empty_like(across)
-    some = np.zeros(top.shape, np.bool_)
-    for_each_range(lambda start, stop: _along_y(filled, table, weights, start, stop, across, some), len(top), least=4)
-    for_each_range(lambda start, stop: _along_x(across, some, weights, start, stop, density), len(top), least=4)
+    some, voxels = np.zeros(top.shape, np.bool_), top.shape[1] * len(z)
+    for_each_range(lambda start, stop: _along_y(filled, table, weights, start, stop, across, some), len(top), 0.8 * voxels)
+    for_each_range(lambda start, stop: _along_x(across, some, weights, start, stop, density), len(top), 1.2 * voxels)
     return density
 
 
@@ -61,11 +61,11 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
     nx, ny, nz = density.shape
     solid, counts = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8), np.zeros(nx + 1, np.int64)
     surface = np.empty((nx, ny, nz), np.uint8)
-    for_each_range(lambda a, b: _mark_solid(density, level, a, b, solid), nx, least=4)
-    for_each_range(lambda a, b: _mark_surface(solid, first, a, b, surface, counts), nx, least=4)
+    for_each_range(lambda a, b: _mark_solid(density, level, a, b, solid), nx, 0.5 * ny * nz)
+    for_each_range(lambda a, b: _mark_surface(solid, first, a, b, surface, counts), nx, 1.0 * ny * nz)
     start = np.cumsum(counts)
     found = np.empty((start[-1], 3), np.int64)
-    for_each_range(lambda a, b: _list_marked(surface, start, a, b, found), nx, least=4)
+    for_each_range(lambda a, b: _list_marked(surface, start, a, b, found), nx, 0.3 * ny * nz)
     return found
 
 
@@ -79,7 +79,7 @@ def slope_at(density: npt.NDArray[np.floating], where: Array, step: float) -> Ar
     """
     slope = np.empty((len(where), 3), np.float32)
     at = np.ascontiguousarray(where, np.float64)
-    for_each_range(lambda start, stop: _slope(density, at, step, start, stop, slope), len(at), least=1024)
+    for_each_range(lambda start, stop: _slope(density, at, step, start, stop, slope), len(at), each=120)
     return slope.astype(np.float64)
 
 

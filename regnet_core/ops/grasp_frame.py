@@ -50,7 +50,7 @@ def seen_from_grasps(
     def run(start: int, stop: int) -> None:
         _look(where, surface, shapes is not None, pose, origin, scale, numbers, rows, bounds, start, stop, out)
 
-    for_each_range(run, len(rotation), least=32)
+    for_each_range(run, len(rotation), each=20 * len(rows) / max(len(rotation), 1))
     return seen
 
 

@@ -97,7 +97,7 @@ def hand_on_mesh(
             start, stop, collides, spans, normals,
         )  # fmt: skip
 
-    for_each_range(run, m, least=64)
+    for_each_range(run, m, each=10_000)
     closing = rotation[:, :, 1]
     return HandMesh(
         collides=collides,

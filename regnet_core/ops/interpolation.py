@@ -89,7 +89,7 @@ def three_nearest_on_cpu(
         assert given is not None and asked is not None  # all are on a CPU
         reach = _usual_reach(given)
         for_each_range(
-            lambda start, stop: _search(asked, given, reach, start, stop, indices, squared), len(asked.rows), least=16
+            lambda start, stop: _search(asked, given, reach, start, stop, indices, squared), len(asked.rows), each=5400
         )
     return torch.from_numpy(indices), torch.from_numpy(squared)
 

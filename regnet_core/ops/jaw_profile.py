@@ -81,7 +81,7 @@ def jaw_profile(
             grid.cell, start, stop, found, out,
         )  # fmt: skip
 
-    for_each_range(run, count)
+    for_each_range(run, count, each=2000)
     return JawProfile(found, *np.ascontiguousarray(out.T))
 
 

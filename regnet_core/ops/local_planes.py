@@ -39,7 +39,7 @@ def local_planes(points: Array, radius: float) -> LocalPlanes:
     count = len(points)
     made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.int64))
     buckets, origin = _from_their_corner(points)
-    for_each_range(lambda a, z: _planes(buckets, origin, np.float32(radius), a, z, *made), len(buckets.rows), least=8)
+    for_each_range(lambda a, z: _planes(buckets, origin, np.float32(radius), a, z, *made), len(buckets.rows), each=8500)
     return made
 
 
@@ -53,7 +53,7 @@ def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.N
     """
     made = np.empty((buckets.count, 3, 3), np.float32)
     for_each_range(
-        lambda a, z: _relative(buckets, np.float32(radius), np.float32(least), a, z, made), len(buckets.rows), least=8
+        lambda a, z: _relative(buckets, np.float32(radius), np.float32(least), a, z, made), len(buckets.rows), each=6000
     )
     return made
 

@@ -23,7 +23,7 @@ def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.boo
     def run(start: int, stop: int) -> None:
         _search(at, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, near)
 
-    for_each_range(run, len(at), least=512)
+    for_each_range(run, len(at), each=35)
     return near
 
 
@@ -44,7 +44,7 @@ def kth_distance(points: Array, queries: Array, k: int, usual: float, most: floa
     def run(start: int, stop: int) -> None:
         _kth(at, k, usual, most, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, distance)
 
-    for_each_range(run, len(at), least=64)
+    for_each_range(run, len(at), each=3700)
     return distance
 
 

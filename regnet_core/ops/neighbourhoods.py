@@ -69,7 +69,7 @@ def offsets_from_centres(
     def run(start: int, stop: int) -> None:
         _look(where, middle, np.float32(unit), rows, bounds, start, stop, out)
 
-    for_each_range(run, len(middle), least=256)
+    for_each_range(run, len(middle), each=3 * len(rows) / max(len(middle), 1))
     return offsets
 
 
@@ -89,21 +89,24 @@ def joined(parts: Sequence[Neighbourhoods], first_points: Sequence[int]) -> Neig
     return Neighbourhoods(indices, offsets)
 
 
-def collect(search: Callable[[int, int, Indices, npt.NDArray[Any]], None], count: int, most: int) -> Neighbourhoods:
+def collect(
+    search: Callable[[int, int, Indices, npt.NDArray[Any]], None], count: int, most: int, each: float
+) -> Neighbourhoods:
     """Run a compiled search over all centres and close the gaps that it leaves.
 
     Args:
         search: called with a range of centres, fills ``found`` (C, most) and ``counts`` (C,) for them.
         count: C.
         most: K, the most neighbours of a centre.
+        each: about how long the search takes for a centre [ns].
     """
     found = np.empty((count, most), np.int32)
     counts = np.zeros(count, np.int64)
-    for_each_range(lambda start, stop: search(start, stop, counts, found), count, least=64)
+    for_each_range(lambda start, stop: search(start, stop, counts, found), count, each)
     offsets = np.zeros(count + 1, np.int64)
     np.cumsum(counts, out=offsets[1:])
     indices = np.empty(offsets[-1], np.int64)
-    for_each_range(lambda start, stop: _compact(found, offsets, start, stop, indices), count, least=1024)
+    for_each_range(lambda start, stop: _compact(found, offsets, start, stop, indices), count, each=most)
     return Neighbourhoods(torch.from_numpy(indices), torch.from_numpy(offsets))
 
 

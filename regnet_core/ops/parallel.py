@@ -10,6 +10,9 @@ from functools import cache
 from threading import local
 from typing import TypeVar
 
+_WORTH = 300_000
+"""A piece of work that takes so long is worth waking a thread for [ns]: that takes a tenth of a millisecond on virtual
+machines, and two cores that share their units work at two thirds of their speed each."""
 Result = TypeVar("Result")
 _limit: int | None = None
 _thread = local()
@@ -64,8 +67,13 @@ def on_one_core() -> Iterator[None]:
         _thread.alone = False
 
 
-def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 256) -> None:
+def for_each_range(kernel: Callable[[int, int], None], count: int, each: float) -> None:
     """Call ``kernel(start, stop)`` for ranges that together cover ``range(count)``.
+
+    Args:
+        kernel: a compiled loop.
+        count: of items.
+        each: about how long an item takes on one core [ns]; what is done sooner than others can be asked is not split.
 
     The kernels release the GIL and write to disjoint parts of their outputs, so that the result does not depend on how
     many threads there are. Plain threads are used because numba's own thread layers may not be entered from several
@@ -73,8 +81,8 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, least: int = 
     takes about as long as a small piece of the work.
     """
     cores = available_cores()
-    pieces = min(cores * 4, max(1, count // least))
-    if pieces == 1 or cores == 1 or getattr(_thread, "alone", False):
+    pieces = min(cores * 4, count, int(count * each / _WORTH))
+    if pieces <= 1 or cores == 1 or getattr(_thread, "alone", False):
         kernel(0, count)
         return
     bounds = [count * i // pieces for i in range(pieces + 1)]

@@ -43,7 +43,7 @@ def rectified_segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.
         return torch.relu_(segment_max(values, offsets))
     top = values.new_zeros((len(offsets) - 1, values.shape[1]))
     source, target, bounds = as_array(values), as_array(top), offsets.numpy()
-    for_each_range(lambda start, stop: _raise(source, bounds, start, stop, target), len(top), least=64)
+    for_each_range(lambda start, stop: _raise(source, bounds, start, stop, target), len(top), 0.1 * values.numel() / max(len(top), 1))
     return top
 
 
@@ -91,7 +91,8 @@ class _SegmentMax(torch.autograd.Function):
         def run(start: int, stop: int) -> None:
             kernel(source, index, indices is not None, bounds, start, stop, target, chosen)
 
-        for_each_range(run, segments, least=32)
+        rows_of_all = len(values) if indices is None else len(indices)
+        for_each_range(run, segments, each=0.2 * rows_of_all * channels / max(segments, 1))
         ctx.save_for_backward(rows)
         ctx.shape, ctx.shared = values.shape, indices is not None
         return top
@@ -107,7 +108,7 @@ def _backward_of_own(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch.Si
     """Each row belongs to one segment: what reaches it is copied."""
     total = torch.zeros(shape, dtype=grad.dtype)
     source, target = as_array(grad), as_array(total)
-    for_each_range(lambda start, stop: _copy_back(source, rows, start, stop, target), len(rows), least=32)
+    for_each_range(lambda start, stop: _copy_back(source, rows, start, stop, target), len(rows), each=1.0 * shape[1])
     return total
 
 
@@ -115,7 +116,7 @@ def _backward_of_shared(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch
     """A row may be the largest of several segments: what reaches it is added up, split by channels."""
     total = torch.zeros(shape, dtype=torch.float32)
     source, target = grad.float().contiguous().numpy(), total.numpy()
-    for_each_range(lambda start, stop: _add_back(source, rows, start, stop, target), shape[1], least=16)
+    for_each_range(lambda start, stop: _add_back(source, rows, start, stop, target), shape[1], each=1.0 * len(rows))
     return total.to(grad.dtype)
 
 

@@ -49,7 +49,7 @@ def point_confidence(points: npt.ArrayLike, entry_points: npt.ArrayLike, weighte
         def run(start: int, stop: int) -> None:
             _sum(at, grid.points, scores, grid.start, grid.origin, grid.shape, grid.cell, start, stop, total)
 
-        for_each_range(run, len(at), least=512)
+        for_each_range(run, len(at), each=800)
     return np.tanh(total)
 
 
