@@ -58,7 +58,7 @@ CLOUD_STAGES = (
     Stage(
         "validation",
         "preparation",
-        "shapes, types, and which points are finite, near enough and in the workspace; the preprocessor also transforms",
+        "shapes, types, which points are finite, near enough and in the workspace; the preprocessor also transforms",
         (
             "regnet_core.pointcloud:place_points",
             "regnet_core.pointcloud:validate_colors",

@@ -104,7 +104,7 @@ def as_points(points: npt.ArrayLike) -> npt.NDArray[Any]:
 
 
 def validate_colors(colors: npt.ArrayLike | None, count: int) -> npt.NDArray[Any] | None:
-    """A user's colours (N, 3), integers 0..255 or floats 0..1, as they are; ``colors_as_floats`` makes one kind of them.
+    """A user's colours (N, 3), integers 0..255 or floats 0..1, as they are (see ``colors_as_floats``).
 
     Raises:
         CloudError: the shape does not match the points, or a value is out of range.

@@ -24,7 +24,7 @@ from regnet_core.report import DetectionReport
 from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from_message, pose_array
 from regnet_ros.inputs import NEXT_CLOUD
 from regnet_ros.node import GraspNode, publish_if_heard
-from regnet_ros.pace import Usual
+from regnet_ros.pace import Lead, Usual
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import use_threads
@@ -51,7 +51,7 @@ class Detector(GraspNode[DetectorParameters]):
         self._warm: set[tuple[str, str]] = set()
         self._in_use = ("", "")
         self._last_cloud: PointCloud2 | None = None
-        self._usual = Usual()
+        self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
 
@@ -97,7 +97,9 @@ class Detector(GraspNode[DetectorParameters]):
         self._last_cloud = cloud
         start, expected = time.perf_counter(), self._usual.seconds
         if expected is not None:
-            self._ask(expected)
+            if item is cloud:
+                self._lead.add(self.late, expected)
+            self._ask(expected - self._lead.seconds)
         try:
             self._answer(cloud, self.settings, start)
         finally:

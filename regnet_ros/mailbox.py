@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from typing import Generic, TypeVar
 
 Item = TypeVar("Item")
@@ -14,12 +16,14 @@ class Mailbox(Generic[Item]):
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._item: Item | None = None
+        self.put_at = -math.inf
+        """When the item that waits, or was taken last, came in [s, monotonic]."""
 
     def put(self, item: Item) -> bool:
         """Put an item in; True when it replaced one that nobody had taken."""
         with self._lock:
             replaced = self._item is not None
-            self._item = item
+            self._item, self.put_at = item, time.monotonic()
             return replaced
 
     def put_if_empty(self, item: Item) -> bool:
@@ -27,7 +31,7 @@ class Mailbox(Generic[Item]):
         with self._lock:
             if self._item is not None:
                 return False
-            self._item = item
+            self._item, self.put_at = item, time.monotonic()
             return True
 
     def take(self) -> Item | None:

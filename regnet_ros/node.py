@@ -77,7 +77,9 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._undo: list[Callable[[], object]] = []
         self._inputs: list[SensorInput] = []
         self._last_log = ("", 0.0)
-        self._last_start = -math.inf
+        self._last_start = self._last_end = self._active_since = -math.inf
+        self.late = 0.0
+        """How long the node had been idle when the present input came, or, below 0, how long that waited [s]."""
         self.health = Health(awaits=awaits)
         self.busy = threading.Lock()
         """Held while regnet_core computes: work and services take turns."""
@@ -253,6 +255,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def _work(self) -> None:
         while self._wait_for_turn() and (item := self._mailbox.take()) is not None:
             self._last_start = time.monotonic()
+            self.late = min(self._mailbox.put_at, self._last_start) - max(self._last_end, self._active_since)
             try:
                 with self._working:
                     self.work(item)
@@ -260,6 +263,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
                 self.fail(str(error))
             except Exception as error:
                 self.crash(error, "while working on an input")
+            self._last_end = time.monotonic()
 
     def _wait_for_turn(self) -> bool:
         """Wait for as long as the parameters and ``pause`` ask; whether the node is still active then."""
@@ -318,6 +322,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         """Begin to work (rclpy's hook)."""
         result = super().on_activate(state)
         self._mailbox.take()  # what a callback that was under way put in after the deactivation
+        self._active_since = time.monotonic()
         self._active = result == _SUCCESS
         if self._worker.ident is None:
             self._worker.start()

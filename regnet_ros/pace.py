@@ -13,6 +13,12 @@ from statistics import median
 _PATIENCE = 2.0
 """A message that no request followed was lost; so long after its beginning the next one is begun [s]."""
 _RECENT = 5
+_HURRY, _EASE = 0.5, 0.1
+"""What is late is asked for sooner by this share of its delay, what waits later by this share of the time it waits."""
+_LATEST = 0.1
+"""More than this says little about the usual delay [s]."""
+_RESERVE = 0.01
+"""So long may what is asked for wait [s]."""
 
 
 class Usual:
@@ -29,6 +35,21 @@ class Usual:
     def seconds(self) -> float | None:
         """The median of the last few; None before the first."""
         return median(self._recent) if self._recent else None
+
+
+class Lead:
+    """How much sooner than needed something must be asked for, to be there in time."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def add(self, late: float, most: float) -> None:
+        """It came so long after it was needed, or, below 0, before; ``most`` is the most that can be asked for [s]."""
+        if late > 0.0:
+            self.seconds += _HURRY * min(late, _LATEST)
+        else:
+            self.seconds -= _EASE * max(-late - _RESERVE, 0.0)
+        self.seconds = min(max(self.seconds, 0.0), most)
 
 
 class Pace:

@@ -91,7 +91,7 @@ class ReferenceTask:
         pooled = padded.region_features(network, clouds, features, ours.regions.source)
         logits, numbers = padded.anchor_numbers(network, pooled)
         anchors = StagePrediction(logits, numbers[..., :-1], numbers[..., -1])
-        proposed = ours._replace(features=features, confidence=confidence, region_features=pooled, anchors=anchors)
+        proposed = ours._replace(confidence=confidence, region_features=pooled, anchors=anchors)
         refinement = network.config.refinement
         if refinement is None:
             return logits, confidence
@@ -99,16 +99,16 @@ class ReferenceTask:
             candidates = network.best_anchors(proposed, network.config.anchors)
         else:
             candidates = network.first_candidates(proposed)
-        refined = self._refine(candidates, proposed, clouds)
+        refined = self._refine(candidates, proposed, features, clouds)
         for number in range(1, refinement.passes):
             candidates = network.next_candidates(candidates, refined, proposed, number)
-            refined = self._refine(candidates, proposed, clouds)
+            refined = self._refine(candidates, proposed, features, clouds)
         return refined.prediction.logit, confidence
 
-    def _refine(self, candidates: Candidates, proposed: Proposed, clouds: Clouds) -> Refined:
+    def _refine(self, candidates: Candidates, proposed: Proposed, features: torch.Tensor, clouds: Clouds) -> Refined:
         network = self._seen.network
         logits, numbers = padded.refined_numbers(
-            network, clouds, proposed.features, proposed.region_features, candidates, self._subject.gripper
+            network, clouds, features, proposed.region_features, candidates, self._subject.gripper
         )
         occupied = torch.ones(len(logits), dtype=torch.bool)
         return Refined(StagePrediction(logits, numbers[:, :-1], numbers[:, -1]), occupied)

@@ -103,9 +103,7 @@ def point_features(clouds: Clouds, config: NetworkConfig) -> torch.Tensor | None
 
 
 @torch.no_grad()
-def with_shapes(
-    clouds: Clouds, config: NetworkConfig, buckets: Sequence[Buckets | None] | None = None
-) -> Clouds:
+def with_shapes(clouds: Clouds, config: NetworkConfig, buckets: Sequence[Buckets | None] | None = None) -> Clouds:
     """The clouds with their local shapes, where the network wants them; without, where it does not.
 
     Args:

@@ -52,7 +52,7 @@ class Proposed(NamedTuple):
 
     @property
     def features(self) -> torch.Tensor:
-        """(N, C): of the points, from the backbone. Where only some may become positive, those of others may be anything."""
+        """(N, C): of the points, from the backbone; anything for those that nobody asked about."""
         return self.points.values
 
 

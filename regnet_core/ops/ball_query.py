@@ -85,7 +85,11 @@ def _within(points: torch.Tensor, centres: torch.Tensor, radius: float) -> torch
 
 @compiled
 def _search(queries, radius, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near, buckets, at = np.empty(points.count, np.int32), np.empty(len(points.rows), np.int64), points.points.ctypes.data
+    near, buckets, at = (
+        np.empty(points.number, np.int32),
+        np.empty(len(points.rows), np.int64),
+        points.points.ctypes.data,
+    )
     exact = radius * radius
     # float32 is sure of all points but those next to the surface.
     inside, perhaps = np.float32(exact * (1.0 - 1e-5)), np.float32(exact * (1.0 + 1e-5))

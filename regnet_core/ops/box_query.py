@@ -87,7 +87,7 @@ def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbo
 
 @compiled
 def _search(axes, middle, half, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
-    near, at = np.empty(points.count, np.int32), points.points.ctypes.data
+    near, at = np.empty(points.number, np.int32), points.points.ctypes.data
     groups, boxes = points.groups.ctypes.data, points.boxes.ctypes.data
     for q in range(begin, end):
         # float32 is sure of all points but those next to the surface.

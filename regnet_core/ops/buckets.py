@@ -38,7 +38,7 @@ class Buckets(NamedTuple):
     """(G, 6, GROUP): bounding boxes of buckets, the x, y, z of their lower corners and of their upper ones [m]."""
     groups: npt.NDArray[np.float32]
     """(ceil(G / GROUP), 6, GROUP): those of groups [m]."""
-    count: int
+    number: int
     """N."""
 
     def sides(self) -> npt.NDArray[np.float32]:
@@ -131,13 +131,13 @@ def buckets_near_box(buckets, x0, y0, z0, x1, y1, z1, squared, found):  # type: 
     """Write down the buckets within a distance, of which the square is given, of a box; and say how many these are."""
     n, groups, boxes = 0, buckets.groups.ctypes.data, buckets.boxes.ctypes.data
     for s in range(len(buckets.groups)):
-        some = boxes_near_box(groups + s * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)  # type: ignore[call-arg]
+        some = boxes_near_box(groups + s * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)
         while some != 0:
-            g = s * GROUP + lowest_bit(some)  # type: ignore[call-arg]
+            g = s * GROUP + lowest_bit(some)
             some &= some - 1
-            own = boxes_near_box(boxes + g * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)  # type: ignore[call-arg]
+            own = boxes_near_box(boxes + g * BOX_BYTES, x0, y0, z0, x1, y1, z1, squared)
             while own != 0:
-                found[n] = g * GROUP + lowest_bit(own)  # type: ignore[call-arg]
+                found[n] = g * GROUP + lowest_bit(own)
                 own &= own - 1
                 n += 1
     return n
@@ -146,7 +146,7 @@ def buckets_near_box(buckets, x0, y0, z0, x1, y1, z1, squared, found):  # type: 
 @inlined
 def own_bits(buckets, b):  # type: ignore[no-untyped-def]
     """A bit for each point of bucket ``b`` that is not there to fill it up."""
-    left = buckets.count - b * SIZE
+    left = buckets.number - b * SIZE
     return (1 << SIZE) - 1 if left >= SIZE else (1 << left) - 1
 
 
@@ -163,9 +163,9 @@ def near_bucket(queries, b, points, squared, found, places):  # type: ignore[no-
     n, at = 0, points.points.ctypes.data
     for k in range(buckets_near_box(points, x0, y0, z0, x1, y1, z1, squared, found)):
         c = found[k]
-        some = near_box(at + c * BUCKET_BYTES, x0, y0, z0, x1, y1, z1, squared) & own_bits(points, c)  # type: ignore[call-arg]
+        some = near_box(at + c * BUCKET_BYTES, x0, y0, z0, x1, y1, z1, squared) & own_bits(points, c)
         while some != 0:
-            places[n] = c * SIZE + lowest_bit(some)  # type: ignore[call-arg]
+            places[n] = c * SIZE + lowest_bit(some)
             some &= some - 1
             n += 1
     return n

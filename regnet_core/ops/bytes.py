@@ -166,7 +166,9 @@ def floats_of_sum(given: Sum, layers: Layers, outputs: int) -> torch.Tensor:
     """What the layers, at least one, make of a sum of E rows -> (E, outputs) float32, none below 0."""
     source, (count, channels) = _Source.of(given), given.shape
     out, width = _floats(count, layers), _width(channels, layers)
-    for_each_range(lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), _TILE * _row_time(layers))
+    for_each_range(
+        lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), _TILE * _row_time(layers)
+    )
     return torch.from_numpy(out)[:count, :outputs]
 
 

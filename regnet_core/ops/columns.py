@@ -45,7 +45,9 @@ def smoothed_columns(
     across = np.empty((*top.shape, len(z)), np.float32)
     density = np.empty_like(across)
     some, voxels = np.zeros(top.shape, np.bool_), top.shape[1] * len(z)
-    for_each_range(lambda start, stop: _along_y(filled, table, weights, start, stop, across, some), len(top), 0.8 * voxels)
+    for_each_range(
+        lambda start, stop: _along_y(filled, table, weights, start, stop, across, some), len(top), 0.8 * voxels
+    )
     for_each_range(lambda start, stop: _along_x(across, some, weights, start, stop, density), len(top), 1.2 * voxels)
     return density
 

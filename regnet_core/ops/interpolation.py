@@ -119,9 +119,9 @@ def _usual_reach(points: Buckets) -> float:
 
 @compiled
 def _search(queries, points, usual, begin, end, indices, squared):  # type: ignore[no-untyped-def]
-    most = min(3, points.count)
-    places, found = np.empty(points.count, np.int32), np.empty(len(points.rows), np.int64)
-    rows, at = np.empty(points.count, np.int32), np.empty((3, points.count), np.float32)
+    most = min(3, points.number)
+    places, found = np.empty(points.number, np.int32), np.empty(len(points.rows), np.int64)
+    rows, at = np.empty(points.number, np.int32), np.empty((3, points.number), np.float32)
     near, nearest = np.empty((3, SIZE), np.float32), np.empty((3, SIZE), np.int32)
     x, y, z = at[0], at[1], at[2]
     d0, d1, d2 = near[0], near[1], near[2]
@@ -154,7 +154,7 @@ def _search(queries, points, usual, begin, end, indices, squared):  # type: igno
                     d0[i] = d if d < a0 else a0
                     n0[i] = row if d < a0 else m0
             # Points farther than the reach from the bucket were not looked at.
-            if n == points.count or near[most - 1].max() <= reach * reach:
+            if n == points.number or near[most - 1].max() <= reach * reach:
                 break
             reach *= 2.0
         for i in range(SIZE):

@@ -19,6 +19,8 @@ from numba.extending import intrinsic
 POINTS, BOXES = 32, 16
 """How many there are."""
 
+_written: Callable[[Callable[..., Any]], Any] = intrinsic
+"""To mypy, what comes of it is as untyped as compiled functions are."""
 _INT32, _INT64, _FLOAT = ir.IntType(32), ir.IntType(64), ir.FloatType()
 
 
@@ -151,69 +153,69 @@ def _equal(lanes: _Lanes, address: Any, given: list[Any]) -> Any:
     return lanes.bits(lanes.build.fcmp_ordered("==", lanes.row(address, 0), given[0]))
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def in_ball(context, points, x, y, z, squared):  # type: ignore[no-untyped-def]
     """Which points are within a distance, of which the square is given, of x, y, z."""
     return _asking(POINTS, 4, _in_ball)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def near_box(context, points, x0, y0, z0, x1, y1, z1, squared):  # type: ignore[no-untyped-def]
     """Which points are within a distance, of which the square is given, of the box between two corners."""
     return _asking(POINTS, 7, _near_box)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def boxes_near_box(context, boxes, x0, y0, z0, x1, y1, z1, squared):  # type: ignore[no-untyped-def]
     """Which boxes are within a distance, of which the square is given, of the box between two corners."""
     return _asking(BOXES, 7, _boxes_near_box)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def in_turned_box(context, points, a0, a1, a2, b0, b1, b2, c0, c1, c2, x, y, z, u, v, w):  # type: ignore[no-untyped-def]
     """Which points are inside the box with the unit axes a, b, c, its middle at x, y, z, and half sides u, v, w."""
     return _asking(POINTS, 15, _in_turned_box)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def boxes_at_turned_box(context, boxes, a0, a1, a2, b0, b1, b2, c0, c1, c2, x, y, z, u, v, w):  # type: ignore[no-untyped-def]
     """Which boxes no side of the box with the axes a, b, c, its middle at x, y, z, and half sides u, v, w keeps off it:
     all that meet it, and some that do not."""
     return _asking(BOXES, 15, _boxes_at_turned_box)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def boxes_within(context, boxes, limits, x, y, z):  # type: ignore[no-untyped-def]
     """Which boxes are nearer to x, y, z than each one's limit says: (16,) squared distances at the second address."""
     return _asking(BOXES, 3, _boxes_within, addresses=2)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def draw(context, points, known, x, y, z):  # type: ignore[no-untyped-def]
     """Make the squared distances (32,) at the second address those to x, y, z where these are less -> the largest
     (float32)."""
     return _asking(POINTS, 3, _draw, addresses=2, result=types.float32)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def largest_of_boxes(context, values):  # type: ignore[no-untyped-def]
     """The largest of 16 numbers, none of which is below 0 (float32)."""
     return _asking(BOXES, 0, _largest, result=types.float32)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def boxes_with(context, values, value):  # type: ignore[no-untyped-def]
     """Which of 16 numbers are this one."""
     return _asking(BOXES, 1, _equal)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def points_with(context, values, value):  # type: ignore[no-untyped-def]
     """Which of 32 numbers are this one."""
     return _asking(POINTS, 1, _equal)
 
 
-@intrinsic  # type: ignore[misc, unused-ignore]
+@_written
 def lowest_bit(context, bits):  # type: ignore[no-untyped-def]
     """The number of the lowest bit that is set, of bits (int64) that are not 0."""
 

@@ -51,7 +51,7 @@ def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.N
         radius: [m].
         least: where the trace is less, the result is 0 [m2].
     """
-    made = np.empty((buckets.count, 3, 3), np.float32)
+    made = np.empty((buckets.number, 3, 3), np.float32)
     for_each_range(
         lambda a, z: _relative(buckets, np.float32(radius), np.float32(least), a, z, made), len(buckets.rows), each=6000
     )
@@ -75,7 +75,7 @@ def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # t
     for b in range(begin, end):
         _moments(buckets, b, radius, found, places, at, sums)
         _turn_to_axes(sums[4:])
-        for i in range(min(SIZE, buckets.count - b * SIZE)):
+        for i in range(min(SIZE, buckets.number - b * SIZE)):
             row = buckets.rows[b, i]
             neighbours[row] = int(sums[0, i])
             least = 0 if sums[4, i] <= sums[5, i] else 1
@@ -101,7 +101,7 @@ def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-unty
                 sums[k, i] = scale * sums[k, i] - whole
             for k in range(7, 10):
                 sums[k, i] = scale * sums[k, i]
-        for i in range(min(SIZE, buckets.count - b * SIZE)):
+        for i in range(min(SIZE, buckets.number - b * SIZE)):
             own = made[buckets.rows[b, i]]
             own[0, 0], own[1, 1], own[2, 2] = sums[4, i], sums[5, i], sums[6, i]
             own[0, 1] = own[1, 0] = sums[7, i]
@@ -112,7 +112,7 @@ def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-unty
 @compiled
 def _room(buckets):  # type: ignore[no-untyped-def]
     """For all buckets, and the places and positions of all points, in full registers."""
-    count = buckets.count
+    count = buckets.number
     return np.empty(len(buckets.rows), np.int64), np.empty(count, np.int32), np.empty((3, count + SIZE), np.float32)
 
 

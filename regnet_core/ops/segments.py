@@ -43,7 +43,11 @@ def rectified_segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.
         return torch.relu_(segment_max(values, offsets))
     top = values.new_zeros((len(offsets) - 1, values.shape[1]))
     source, target, bounds = as_array(values), as_array(top), offsets.numpy()
-    for_each_range(lambda start, stop: _raise(source, bounds, start, stop, target), len(top), 0.1 * values.numel() / max(len(top), 1))
+    for_each_range(
+        lambda start, stop: _raise(source, bounds, start, stop, target),
+        len(top),
+        0.1 * values.numel() / max(len(top), 1),
+    )
     return top
 
 

@@ -28,7 +28,9 @@ def slab_counts(points: Array, normals: Array, offsets: Array, tolerance: float)
     x, y, z = (np.ascontiguousarray(column) for column in points.T)
     counts = np.zeros(len(normals), np.int64)
     for_each_range(
-        lambda start, stop: _count(x, y, z, normals, offsets, tolerance, start, stop, counts), len(normals), each=len(x) / 3
+        lambda start, stop: _count(x, y, z, normals, offsets, tolerance, start, stop, counts),
+        len(normals),
+        each=len(x) / 3,
     )
     return counts
 

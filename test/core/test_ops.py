@@ -75,6 +75,17 @@ def finished(script: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, timeout=120)
 
 
+@pytest.mark.parametrize(("count", "each", "ranges"), [(1000, 1e5, 8), (3, 1e9, 3), (1000, 100.0, 1), (0, 1e9, 1)])
+def test_work_is_split_where_that_pays(count: int, each: float, ranges: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        monkeypatch.setattr(parallel, "available_cores", lambda: 2)
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        done: list[tuple[int, int]] = []
+        parallel.for_each_range(lambda start, stop: done.append((start, stop)), count, each)
+    assert len(done) == ranges
+    assert sorted(i for start, stop in done for i in range(start, stop)) == list(range(count))
+
+
 def test_a_forked_process_can_go_on_working() -> None:
     script = """
 import os, signal
@@ -82,7 +93,7 @@ from regnet_core.ops.parallel import for_each_range
 done = []
 def work():
     done.clear()
-    for_each_range(lambda start, stop: done.append(stop - start), 5000)
+    for_each_range(lambda start, stop: done.append(stop - start), 5000, each=1e5)
     return sum(done)
 assert work() == 5000
 child = os.fork()

@@ -13,7 +13,6 @@ from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.nearby import kth_distance, near_any
 from regnet_core.ops.outline import corner_candidates, outside
 from regnet_core.ops.rows import first_in_voxels, rows_in_box, valid_rows
-from regnet_core.ops.voxel_grid import build_grid
 from regnet_core.pointcloud import voxel_downsample
 
 RNG = np.random.default_rng(7)

@@ -52,7 +52,7 @@ def test_colours_are_scaled_and_checked() -> None:
     with pytest.raises(CloudError, match=r"\(2, 3\)"):
         validate_colors(np.zeros((3, 3)), 2)
     for wrong in (np.array([[0, 256, 0]]), np.array([[0.0, 1.5, 0.0]]), np.array([[0.0, -0.1, 0.0]])):
-        with pytest.raises(CloudError, match="integers in 0..255 or floats in 0..1, got values from"):
+        with pytest.raises(CloudError, match="got values from"):
             validate_colors(wrong, 1)
 
 

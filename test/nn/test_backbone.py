@@ -11,12 +11,14 @@ from benchmarks import padded
 from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.gripper import Gripper
 from regnet_core.nn import layers, pooling, refinement, tiles
+from regnet_core.nn import network as network_module
 from regnet_core.nn.anchors import CoderConfig
 from regnet_core.nn.clouds import Clouds
 from regnet_core.nn.config import AbstractionConfig, NetworkConfig, RefinementConfig, RegionConfig
 from regnet_core.nn.hierarchy import build_hierarchy
 from regnet_core.nn.layers import DenseLayer
 from regnet_core.nn.network import RegNet
+from regnet_core.nn.point_features import PointFeatures
 from regnet_core.nn.results import Output, expected_quality
 from regnet_core.nn.zoo import NETWORKS, WITHOUT_ANCHORS, network_config
 from regnet_core.ops import ball_query, box_query, farthest_points, grasp_frame, interpolation, segments
@@ -246,7 +248,9 @@ def test_the_functions_in_torch_give_what_the_kernels_give(monkeypatch: pytest.M
     net, clouds = network(VARIANTS["rich refinement"]), batch(1500, 800)
     with torch.no_grad():
         expected = net(clouds, Gripper(height=0.03))
-    monkeypatch.setattr(farthest_points, "_sampled_on_cpu", lambda *a: farthest_points.farthest_points_in_torch(*a[:-1]))
+    monkeypatch.setattr(
+        farthest_points, "_sampled_on_cpu", lambda *a: farthest_points.farthest_points_in_torch(*a[:-1])
+    )
     monkeypatch.setattr(ball_query, "_queried_on_cpu", lambda *a: ball_query.ball_query_in_torch(*a[:-1]))
     monkeypatch.setattr(box_query, "_queried_on_cpu", lambda *a: box_query.box_query_in_torch(*a[:-1]))
     monkeypatch.setattr(interpolation, "three_nearest_on_cpu", lambda *a: interpolation.three_nearest_in_torch(*a[:2]))
@@ -257,6 +261,27 @@ def test_the_functions_in_torch_give_what_the_kernels_give(monkeypatch: pytest.M
     assert torch.equal(found.proposed.hierarchy.levels[0].source, expected.proposed.hierarchy.levels[0].source)
     for a, b in zip(numbers(found), numbers(expected), strict=True):
         close(a, b)
+
+
+@every_variant
+def test_features_where_they_are_needed_give_what_those_of_all_points_give(
+    config: NetworkConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    net, clouds = network(config), batch(1500, 800)
+    eligible = torch.rand(len(clouds.points), generator=torch.Generator().manual_seed(0)) < 0.2
+    asked = []
+    fine = net.backbone.fine
+    monkeypatch.setattr(net.backbone, "fine", lambda coarse, rows: asked.append(rows) or fine(coarse, rows))
+    with torch.no_grad():
+        some = net(clouds, Gripper(height=0.03), eligible=eligible)
+        assert asked and all(rows is not None and len(rows) < len(clouds.points) for rows in asked)
+        everywhere = torch.cat([rows for rows in asked if rows is not None])
+        assert len(everywhere.unique()) == len(everywhere), "none is computed twice"
+        monkeypatch.setattr(network_module, "PointFeatures", lambda *given: PointFeatures(*given[:3], of_all=True))
+        expected = net(clouds, Gripper(height=0.03), eligible=eligible)
+    for a, b in zip(numbers(some)[1:], numbers(expected)[1:], strict=True):
+        close(a, b)
+    close(some.proposed.features[everywhere], expected.proposed.features[everywhere])
 
 
 @every_variant

@@ -30,7 +30,7 @@ def test_parts_are_joined_in_their_order(threads: int) -> None:
 def test_every_part_has_one_core_and_may_use_compiled_loops(threads: int) -> None:
     def work(part: torch.Tensor) -> torch.Tensor:
         ranges: list[tuple[int, int]] = []
-        for_each_range(lambda start, stop: ranges.append((start, stop)), 1000, least=10)
+        for_each_range(lambda start, stop: ranges.append((start, stop)), 1000, each=1e6)
         return torch.tensor([[torch.get_num_threads(), len(ranges)]])
 
     found = over_tiles(work, PARTS)
