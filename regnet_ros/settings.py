@@ -104,10 +104,10 @@ class PreprocessorParameters(SensorParameters):
         _HIGHEST, "Upper corner of the workspace, in target_frame [m].", limits=_SPAN, lengths=(3,)
     )
     keep_pace: bool = parameter(
-        False,
+        True,
         "Whether a cloud, the newest, is prepared only when a detector is about to have time for it: with a camera "
-        "faster than the detector that saves computing time, and costs some grasp arrays a second. Without a detector "
-        "as many as come.",
+        "faster than the detector that leaves it the time that other clouds would take. Without a detector, or where "
+        "this is false, as many as come.",
     )
     voxel_size: float = parameter(
         0.0, "Edge length of the voxels that keep one point each [m]; 0 keeps all points.", limits=(0.0, 0.5)

@@ -32,8 +32,8 @@ def closed(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
 def _along(values: npt.NDArray[Number], reach: int, axis: int, best: np.ufunc) -> npt.NDArray[Number]:
     found = values if axis == 0 else values.T
     known = 0
-    while known < reach:  # what is known of three neighbours says it of all between them
-        step = min(2 * known + 1, reach - known)
+    while known < reach:  # what is known of three cells says it of all between them, at the border too
+        step = min(known + 1, reach - known)
         given, found = found, found.copy()
         if step < len(given):
             best(found[step:], given[:-step], out=found[step:])

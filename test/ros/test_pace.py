@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from regnet_ros.pace import Pace, Usual
+from regnet_ros.pace import Lead, Pace, Usual
 
 
 def test_the_usual_time_is_the_median_of_the_last_five() -> None:
@@ -64,3 +64,32 @@ def test_a_request_that_arrives_before_the_message_is_known_to_be_sent_is_for_th
     pace.wanted(1.6)
     pace.sent(1.1)
     assert pace.pause(1.2) == pytest.approx(0.3)
+
+
+def test_what_is_late_is_asked_for_sooner_and_what_waits_later() -> None:
+    lead = Lead()
+    lead.add(0.04, most=1.0)
+    assert lead.seconds == pytest.approx(0.02)
+    lead.add(-0.01, most=1.0)  # it waited for no longer than it may
+    assert lead.seconds == pytest.approx(0.02)
+    lead.add(-0.06, most=1.0)
+    assert lead.seconds == pytest.approx(0.015)
+    lead.add(-9.0, most=1.0)
+    assert lead.seconds == 0.0
+    lead.add(60.0, most=1.0)  # a pause of the camera says nothing about the usual delay
+    assert lead.seconds == pytest.approx(0.05)
+    for _ in range(9):
+        lead.add(60.0, most=0.1)
+    assert lead.seconds == 0.1
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.015, 0.04])
+def test_after_some_messages_the_next_one_is_there_in_time(delay: float) -> None:
+    """A work of 0.1 s each, and messages that come so long after the time that they were asked for."""
+    lead, lates, asked_ahead = Lead(), [], 0.0
+    for _ in range(40):
+        late = delay - asked_ahead
+        lead.add(late, most=0.1)
+        lates.append(late)
+        asked_ahead = lead.seconds
+    assert max(lates[10:]) <= 0.005 and min(lates[10:]) >= -0.02
