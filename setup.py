@@ -17,8 +17,6 @@ MAINTAINERS = MANIFEST.findall("maintainer")
 # those of numpy, scipy and pillow are not above Ubuntu 24.04's, where ROS 2 Jazzy lives. ROS itself is left out: it
 # comes from the ROS installation or, where there is none, from the extra "ros".
 RUNTIME = [
-    # Later releases have no wheels for some Pythons.
-    "fpsample==0.3.3",
     "llvmlite>=0.42",
     "mcap>=1.1",
     "mcap-ros2-support>=0.5",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 _UNITS = ("avx2", "avx512f", "avx512_bf16", "avx512_vnni", "amx_bf16", "amx_int8")
 """Features of processors that matter here, as Linux names them."""
-_PACKAGES = ("numpy", "scipy", "numba", "torch", "fpsample")
+_PACKAGES = ("numpy", "scipy", "numba", "torch")
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 ROOT = Path(__file__).resolve().parents[1]

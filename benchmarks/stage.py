@@ -62,7 +62,7 @@ class Stage:
     """``module:function`` or ``module:Class.method``, where they are defined."""
     needed: Needed = always
     numbered: Literal["", "up", "down"] = ""
-    """Whether each call is a stage of its own, counted from 1 or down to 1."""
+    """Whether each call is a stage of its own, counted from 1, or down to 1, which all further ones belong to."""
     ledger: str = ""
     """The stage of regnet_core/nn/ledger.py whose operations these are."""
 

@@ -161,7 +161,7 @@ NETWORK_STAGES = (
     Stage(
         "nearest centroids",
         "search",
-        "the three nearest centroids of every point, for the propagations",
+        "the three nearest centroids of every point that a propagation gives features",
         ("regnet_core.ops.interpolation:three_nearest",),
         needed=stage.network,
     ),
@@ -184,7 +184,7 @@ NETWORK_STAGES = (
     Stage(
         "propagation",
         "network",
-        "a feature propagation: interpolation, and its layers on every point",
+        "a feature propagation: interpolation, and its layers on every point; the last one where it is needed",
         ("regnet_core.nn.propagation:FeaturePropagation.forward",),
         needed=stage.network,
         numbered="down",
@@ -248,7 +248,12 @@ NETWORK_STAGES = (
         "network, the rest",
         "network",
         "what is between the stages of the network",
-        ("regnet_core.nn.network:RegNet.forward", "regnet_core.nn.backbone:Backbone.forward"),
+        (
+            "regnet_core.nn.network:RegNet.forward",
+            "regnet_core.nn.backbone:Backbone.coarse",
+            "regnet_core.nn.backbone:Backbone.fine",
+            "regnet_core.nn.point_features:PointFeatures.need",
+        ),
         needed=stage.network,
     ),
     Stage(

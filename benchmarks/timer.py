@@ -138,7 +138,7 @@ class StageTimer:
             return stage.name
         with self._lock:
             number = self._numbers[stage.name] = self._numbers.get(stage.name, 0) + 1
-        return stage.numbered_name(number if stage.numbered == "up" else self._levels + 1 - number)
+        return stage.numbered_name(number if stage.numbered == "up" else max(self._levels + 1 - number, 1))
 
     def _ended(self, frame: _Frame, outer: Sequence[_Frame]) -> None:
         wall, cpu = time.perf_counter() - frame.wall, time.process_time() - frame.cpu

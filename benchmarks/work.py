@@ -2,8 +2,9 @@
 
 The ledger counts what a padded implementation does, as the paper does: for every slot of a neighbourhood, every point
 of ``config.points`` and every anchor of a region. Needed is less: the real neighbours and points of the cloud at hand,
-the candidates that are refined, and the linear part of what is gathered once for each point instead of once for each
-neighbour. 2 operations count for each multiply-add; what batch normalisation needs is part of the layers.
+features for the points that something asks about, the candidates that are refined, and the linear part of what is
+gathered once for each point instead of once for each neighbour. 2 operations count for each multiply-add; what batch
+normalisation needs is part of the layers.
 
 Bytes are those that must be moved if a stage keeps in the processor what it makes and uses up itself: inputs, outputs
 and weights once, and what is gathered once for each time it is.
@@ -55,8 +56,12 @@ def _of_score(arguments: tuple[Any, ...], confidence: Any) -> Mapping[str, float
     return {"scored": len(confidence)}
 
 
-def _of_backbone(arguments: tuple[Any, ...], features: Any) -> Mapping[str, float]:
-    return {"feature bytes": features.element_size()}
+def _of_centroids(arguments: tuple[Any, ...], coarse: Any) -> Mapping[str, float]:
+    return {"feature bytes": coarse.features.element_size()}
+
+
+def _of_points(arguments: tuple[Any, ...], features: Any) -> Mapping[str, float]:
+    return {"asked": len(features)}
 
 
 OBSERVERS: dict[str, Observer] = {
@@ -64,7 +69,8 @@ OBSERVERS: dict[str, Observer] = {
     "regnet_core.nn.regions:region_neighbours": _of_regions,
     "regnet_core.nn.regions:select_regions": _of_selection,
     "regnet_core.nn.refinement:closing_points": _of_closing_areas,
-    "regnet_core.nn.backbone:Backbone.forward": _of_backbone,
+    "regnet_core.nn.backbone:Backbone.coarse": _of_centroids,
+    "regnet_core.nn.backbone:Backbone.fine": _of_points,
     "regnet_core.nn.heads:ScoreHead.forward": _of_score,
 }
 """What has to be known of a detection to count its work."""
@@ -127,7 +133,7 @@ def _abstractions(config: NetworkConfig, counts: Mapping[str, float], size: floa
 def _propagations(config: NetworkConfig, counts: Mapping[str, float], size: float) -> dict[str, Work]:
     found = {}
     skips = [3 + config.point_channels, *(abstraction.channels[-1] for abstraction in config.abstractions)]
-    rows = [counts.get("points", 0.0)]
+    rows = [counts.get("asked", counts.get("points", 0.0))]
     rows += [counts.get(f"centroids {number}", 0.0) for number in range(1, len(config.abstractions) + 1)]
     channels = skips[-1]
     for level, sizes in zip(range(len(config.abstractions), 0, -1), config.propagations, strict=True):
@@ -150,7 +156,7 @@ def _refinement(config: NetworkConfig, counts: Mapping[str, float], size: float)
     own, first = 3 + config.point_channels, refinement.channels[0]
     once, gathered = 0.0, near * (_INDEX + 3 * _FLOAT)
     if refinement.point_features:
-        once = 2 * counts.get("points", 0.0) * config.features * first
+        once = 2 * counts.get("asked", counts.get("points", 0.0)) * config.features * first
         gathered += near * size * first
     last = refinement.channels[-1] + config.features
     fusion = _dense([last, *refinement.fusion], candidates, size)

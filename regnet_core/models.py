@@ -120,5 +120,5 @@ def _regnet(file: WeightsFile, device: str) -> Proposer:
 
 def _remedy(error: ImportError) -> str:
     if isinstance(error, ModuleNotFoundError):
-        return f"networks need the package {error.name}: pip install torch safetensors fpsample"
+        return f"networks need the package {error.name}: pip install torch safetensors"
     return f"networks need torch, which cannot be loaded here: {error}"

@@ -6,15 +6,17 @@ box around it, so that most of the other points are passed over without a look a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.lanes import BOXES, POINTS, boxes_near_box, lowest_bit, near_box
 from regnet_core.ops.voxel_grid import bounds
+
+if TYPE_CHECKING:
+    import torch
 
 SIZE, GROUP = POINTS, BOXES
 """Points of a bucket; buckets of a group, and groups that are looked at together."""

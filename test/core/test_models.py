@@ -251,7 +251,7 @@ def test_torch_is_loaded_when_a_network_is_asked_for(untrained: Path) -> None:
     assert run(program) == "False True"
 
 
-@pytest.mark.parametrize("package", ["torch", "safetensors", "fpsample"])
+@pytest.mark.parametrize("package", ["torch", "safetensors"])
 def test_a_missing_package_is_named(package: str, untrained: Path) -> None:
     program = (
         f"import sys; sys.modules['{package}'] = None; import regnet_core\n"
@@ -259,7 +259,7 @@ def test_a_missing_package_is_named(package: str, untrained: Path) -> None:
         f"try: regnet_core.GraspDetector('{untrained}')\n"
         "except regnet_core.ModelError as error: print(error)"
     )
-    assert run(program) == f"networks need the package {package}: pip install torch safetensors fpsample"
+    assert run(program) == f"networks need the package {package}: pip install torch safetensors"
 
 
 def test_networks_need_nothing_that_detection_does_not_install(untrained: Path) -> None:

@@ -136,14 +136,11 @@ def test_the_network_gives_the_same_on_a_gpu() -> None:
     from regnet_core.nn.clouds import Clouds
     from regnet_core.nn.network import RegNet
     from regnet_core.nn.zoo import network_config
-    from regnet_core.ops import farthest_points
 
     torch.manual_seed(0)
     network = RegNet(network_config("regnetv2-s").replace(least_confidence=0.0)).eval()
     clouds = Clouds.of([cloud(3000), cloud(2000, seed=1)], [0.06, 0.1])
-    with pytest.MonkeyPatch.context() as patch, torch.inference_mode():
-        # fpsample starts elsewhere.
-        patch.setattr(farthest_points, "_sampled_on_cpu", farthest_points.farthest_points_in_torch)
+    with torch.inference_mode():
         expected = network(clouds).proposed
         found = network.to(DEVICE)(clouds.to(DEVICE)).proposed
     for level, other in zip(found.hierarchy.levels, expected.hierarchy.levels, strict=True):
