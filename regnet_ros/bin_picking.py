@@ -30,6 +30,7 @@ from regnet_core.models import DEFAULT_MODEL
 from regnet_core.policy import POLICIES
 from regnet_core.robots.names import ROBOT_NAMES
 from regnet_ros.inputs import OUTPUT_QOS
+from regnet_ros.share import config_file
 
 NODES = ("executor", "preprocessor", "detector", "selector")
 CALIBRATIONS = {"baxter": "baxter", "baxter_left": "baxter", "panda": "panda"}
@@ -164,13 +165,7 @@ def node_arguments(name: str, options: argparse.Namespace, state_file: Path) -> 
 
 def default_params_file() -> Path:
     """config/bin_picking.yaml where it is installed."""
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-    try:
-        share = Path(get_package_share_directory("regnet_ros"))
-    except (PackageNotFoundError, LookupError):  # AMENT_PREFIX_PATH is not set, as in a plain virtual environment
-        share = Path(sys.prefix) / "share" / "regnet_ros"
-    return share / "config" / "bin_picking.yaml"
+    return config_file("bin_picking.yaml")
 
 
 def run_loop(options: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from regnet_core.errors import InvalidInputError
 from regnet_core.memory import keep_freed_memory
 from regnet_ros.node import GraspNode
+from regnet_ros.transport import make_room_for_clouds
 
 _THREADS = 8
 """One for each callback group; idle ones cost nothing."""
@@ -28,6 +29,7 @@ _PATIENCE = 3.0
 def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -> int:
     """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
     keep_freed_memory()
+    make_room_for_clouds()
     unknown = _own_arguments(args)
     if unknown:
         return _explain_arguments(unknown)
