@@ -64,9 +64,9 @@ class Backbone(nn.Module):
         if rows is None:
             how = level.interpolation
             if how is None:
-                how = interpolation_to_points(clouds, level, torch.arange(len(points), device=points.device))
+                how = interpolation_to_points(clouds, coarse.hierarchy, torch.arange(len(points), device=points.device))
         else:
-            how, points = interpolation_to_points(clouds, level, rows), points[rows]
+            how, points = interpolation_to_points(clouds, coarse.hierarchy, rows), points[rows]
             own = None if own is None else own[rows]
         skip = fine_skip(points, own, level, how, self.config)
         return self.propagations[-1](coarse.features, how, skip, coarse.kept)  # type: ignore[no-any-return]

@@ -53,11 +53,15 @@ class Hierarchy(NamedTuple):
     levels: tuple[Level, ...]
     buckets: tuple[Buckets | None, ...]
     """Of each cloud's points, for further searches among them on a CPU."""
+    centroids: tuple[Buckets | None, ...]
+    """Of each cloud's centroids of the first level, likewise."""
 
     def to(self, device: torch.device | str) -> Hierarchy:
         """The same on another device."""
-        buckets = self.buckets if torch.device(device).type == "cpu" else (None,) * len(self.buckets)
-        return Hierarchy(tuple(level.to(device) for level in self.levels), buckets)
+        levels, nothing = tuple(level.to(device) for level in self.levels), (None,) * len(self.buckets)
+        if torch.device(device).type == "cpu":
+            return self._replace(levels=levels)
+        return Hierarchy(levels, nothing, nothing)
 
 
 @torch.no_grad()
@@ -83,13 +87,14 @@ def build_hierarchy(
         farthest_points(clouds.points[own], most, part) + own.start for own, part in zip(rows, parts, strict=True)
     ]
     levels: list[Level] = []
-    own_buckets = tuple(parts)
+    own_buckets, of_centroids = tuple(parts), tuple[Buckets | None, ...]()
     below = _Below(clouds.points, rows, parts)
     for abstraction in config.abstractions:
         level, parts = _level(clouds.points, sequences, abstraction, below, not levels, to_all_points or bool(levels))
+        of_centroids = of_centroids or tuple(parts)
         levels.append(level)
         below = _Below(level.points, level.slices(), parts)
-    return Hierarchy(tuple(levels), own_buckets)
+    return Hierarchy(tuple(levels), own_buckets, of_centroids)
 
 
 class _Below(NamedTuple):
@@ -137,14 +142,15 @@ def _level(
     return level, buckets
 
 
-def interpolation_to_points(clouds: Clouds, level: Level, rows: torch.Tensor) -> Interpolation:
+def interpolation_to_points(clouds: Clouds, hierarchy: Hierarchy, rows: torch.Tensor) -> Interpolation:
     """From the centroids of the first level to some points: rows (n,) of the clouds' points, ascending."""
+    level = hierarchy.levels[0]
     if level.interpolation is not None:
         return Interpolation(level.interpolation.indices[rows], level.interpolation.weights[rows])
     bounds = torch.searchsorted(rows, clouds.offsets).tolist()
     parts = [
-        three_nearest(level.points[own], clouds.points[rows[first:last]])
-        for own, (first, last) in zip(level.slices(), pairwise(bounds), strict=True)
+        three_nearest(level.points[own], clouds.points[rows[first:last]], part)
+        for own, (first, last), part in zip(level.slices(), pairwise(bounds), hierarchy.centroids, strict=True)
     ]
     return _joined(parts, level.offsets.tolist())
 

@@ -22,9 +22,21 @@ def neighbour_max(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Ten
 
     A centre without neighbours gets 0. Of equal values the first one gets the gradient.
     """
+    if has_kernel(values) and values.dtype == torch.float32 and not torch.is_grad_enabled():
+        return _largest_of(values, neighbours)
     if (largest := _kernel_for(values)) is not None:
         return cast(torch.Tensor, largest.apply(values, neighbours.indices, neighbours.offsets))
     return segment_max_in_torch(values.index_select(0, neighbours.indices), neighbours.offsets)
+
+
+def _largest_of(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Tensor:
+    """``neighbour_max`` where nobody asks which neighbour has the largest value."""
+    top = values.new_empty((len(neighbours.offsets) - 1, values.shape[1]))
+    source, target = as_array(values), as_array(top)
+    rows, bounds = neighbours.indices.numpy(), neighbours.offsets.numpy()
+    each = 0.1 * len(rows) * values.shape[1] / max(len(top), 1)
+    for_each_range(lambda start, stop: _gather_largest(source, rows, bounds, start, stop, target), len(top), each)
+    return top
 
 
 def segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
@@ -174,6 +186,20 @@ def _max_of_bits(values, indices, gathered, offsets, begin, end, top, rows):  # 
         for c in range(channels):
             key = top[s, c]
             top[s, c] = key ^ ((key >> 15) & 0x7FFF)
+
+
+@compiled
+def _gather_largest(values, rows, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+    for s in range(begin, end):
+        first, last, own = offsets[s], offsets[s + 1], top[s]
+        if first == last:
+            own[:] = 0.0
+            continue
+        own[:] = values[rows[first]]
+        for e in range(first + 1, last):
+            other = values[rows[e]]
+            for c in range(len(own)):
+                own[c] = other[c] if other[c] > own[c] else own[c]
 
 
 @compiled

@@ -35,6 +35,17 @@ def test_points_shared_by_neighbourhoods_add_their_gradients_up(dtype: torch.dty
     assert values.grad is not None and values.grad.flatten().tolist() == [1000, 11, 0]
 
 
+@pytest.mark.parametrize("dtype", TYPES)
+def test_without_gradients_the_largest_are_the_same(dtype: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(1)
+    offsets = ragged(generator)
+    values = torch.randn(900, 37, generator=generator).to(dtype)[:, :35]
+    near = Neighbourhoods(torch.randint(0, 900, (int(offsets[-1]),), generator=generator), offsets)
+    expected = neighbour_max(values, near)
+    with torch.no_grad():
+        assert torch.equal(neighbour_max(values, near), expected)
+
+
 def test_of_equal_values_the_first_gets_the_gradient() -> None:
     values = torch.zeros(3, 1, requires_grad=True)
     segment_max(values, torch.tensor([0, 3])).sum().backward()
