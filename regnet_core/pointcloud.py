@@ -336,7 +336,7 @@ def _area(points: Array, cell: float = 0.03) -> float:
 
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:
-    """Least squares on the inliers, a few times or until they stay the same."""
+    """Least squares on the inliers, a few times or until there are as many as before."""
     before = None
     for _ in range(4):
         inliers = slab_moments(points, np.asarray(plane.normal), plane.offset, tolerance)

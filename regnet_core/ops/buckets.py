@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 SIZE, GROUP = POINTS, BOXES
 """Points of a bucket; buckets of a group, and groups that are looked at together."""
-BOX_BYTES, BUCKET_BYTES, VALUES_BYTES = 4 * 6 * GROUP, 4 * 3 * SIZE, 4 * SIZE
-"""From one group's boxes to the next one's; from one bucket's points to the next one's; and what is one for each."""
+BOX_BYTES, BUCKET_BYTES = 4 * 6 * GROUP, 4 * 3 * SIZE
+"""From one group's boxes to the next one's; from one bucket's points to the next one's."""
 _BITS = 8
 """Of the number of a cell along an axis, by which points are sorted."""
 
