@@ -33,6 +33,24 @@ class Candidates(NamedTuple):
     """Those of the message, in the same order."""
 
 
+class _Client(ActionClient):
+    """One that may be destroyed while another thread spins its node.
+
+    An executor that had already listed it asks it to join its wait. rclpy's own says then that a pointer is invalid,
+    which nobody can tell from a defect (https://github.com/ros2/rclpy/issues/1284); subscriptions, clients and events
+    raise what this one raises.
+    """
+
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        """Join what an executor waits for (rclpy's method).
+
+        Raises:
+            InvalidHandle: it has been destroyed.
+        """
+        with self:
+            super().add_to_wait_set(wait_set)
+
+
 class Execution:
     """One execution at a time, over as many grasps of one array as are allowed."""
 
@@ -57,7 +75,7 @@ class Execution:
         """
         self._logger = node.get_logger()
         self._name = node.resolve_service_name(ACTION)
-        self._client = ActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
+        self._client = _Client(node, ExecuteGrasp, ACTION, callback_group=group)
         self._permitted, self._choose, self._settled, self._given_up = permitted, choose, settled, given_up
         self._lock = threading.RLock()
         self._run = 0
