@@ -26,6 +26,7 @@ from regnet_ros.health import Health
 from regnet_ros.inputs import OUTPUT_QOS, SensorInput
 from regnet_ros.mailbox import Mailbox
 from regnet_ros.parameters import ParameterStore, Table
+from regnet_ros.spinning import QuickCallbackGroup
 
 _DIAGNOSTICS_PERIOD = 1.0
 _NAP = 0.02
@@ -84,7 +85,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self.busy = threading.Lock()
         """Held while regnet_core computes: work and services take turns."""
         self._working = threading.Lock()
-        self.input_group = MutuallyExclusiveCallbackGroup()
+        self.input_group = QuickCallbackGroup()
         self.service_group = MutuallyExclusiveCallbackGroup()
         self._mailbox: Mailbox[Any] = Mailbox()
         self._wake, self._destroyed = threading.Event(), False

@@ -6,18 +6,18 @@ import contextlib
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.utilities import remove_ros_args
 
 from regnet_core.errors import InvalidInputError
 from regnet_core.memory import keep_freed_memory
 from regnet_ros.node import GraspNode
+from regnet_ros.spinning import NodeExecutor
 from regnet_ros.transport import make_room_for_clouds
 
 _THREADS = 8
@@ -64,7 +64,7 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
 
 def spin(node: GraspNode) -> None:
     """Run the callbacks of a node until its context shuts down; no exception gets out."""
-    executor = MultiThreadedExecutor(num_threads=_THREADS, context=node.context)
+    executor = NodeExecutor(_THREADS, context=node.context)
     executor.add_node(node)
     while node.context.ok():
         try:
@@ -75,21 +75,9 @@ def spin(node: GraspNode) -> None:
             continue
         except Exception as error:
             node.crash(error, "in the executor")
-    _settle(executor)
+    executor.settle(_PATIENCE / 3)
     with contextlib.suppress(RCLError, InvalidHandle):
         executor.shutdown(timeout_sec=0.0)
-
-
-def _settle(executor: MultiThreadedExecutor) -> None:
-    """Let callbacks that were handed to a thread in the last moment begin: shutting down would break them.
-
-    rclpy prints the error of any callback whose end nobody asks for.
-    """
-    futures, deadline = list(getattr(executor, "_futures", [])), time.monotonic() + _PATIENCE / 3
-    while time.monotonic() < deadline and not all(future.done() for future in futures):
-        time.sleep(0.01)
-    for future in futures:
-        future.exception()
 
 
 def _own_arguments(args: Sequence[str] | None) -> list[str]:

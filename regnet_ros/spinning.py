@@ -1,0 +1,77 @@
+"""Running the callbacks of a node: the quick ones at once, the others in threads."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.context import Context
+from rclpy.executors import Executor, ShutdownException, TimeoutException
+
+_PATIENCE = 0.05
+"""Longest time to wait for a thread to begin with a callback [s]: every one of them may be busy."""
+
+
+class QuickCallbackGroup(MutuallyExclusiveCallbackGroup):
+    """Callbacks that leave their work to others: they are called by the thread that spins."""
+
+
+class NodeExecutor(Executor):
+    """Quick callbacks run in the thread that spins, the others in a pool.
+
+    rclpy's own executor with threads hands out a callback again and again until a thread has begun with it, which takes
+    a core some milliseconds for every message as only one thread at a time can run Python.
+    """
+
+    def __init__(self, threads: int, *, context: Context | None = None) -> None:
+        """Args:
+        threads: so many callbacks that are not quick can run at a time.
+        context: that of the node.
+        """
+        super().__init__(context=context)
+        self._pool = ThreadPoolExecutor(threads)
+        self._running: set[Future[None]] = set()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for a callback and call it (rclpy's method).
+
+        Raises:
+            Exception: what a quick callback raised, or one that ended in a thread meanwhile.
+        """
+        try:
+            ready: tuple[Any, Any, Any] = self.wait_for_ready_callbacks(timeout_sec)
+        except (ShutdownException, TimeoutException):
+            return
+        task, entity, _ = ready
+        if entity is not None and isinstance(entity.callback_group, QuickCallbackGroup):
+            task()
+            task.result()
+        else:
+            self._hand_over(task)
+        for future in [future for future in self._running if future.done()]:
+            self._running.remove(future)
+            future.result()
+
+    def spin_once_until_future_complete(self, future: Any, timeout_sec: Any = None) -> None:
+        """Wait for a callback or for the future (rclpy's method)."""
+        future.add_done_callback(lambda _: self.wake())
+        self.spin_once(timeout_sec)
+
+    def settle(self, patience: float) -> None:
+        """Let callbacks that were handed to a thread end, at most for so long [s]: a shutdown would break them."""
+        for future in wait(self._running, patience).done:
+            future.exception()
+        self._running.clear()
+
+    def _hand_over(self, task: Any) -> None:
+        begun = threading.Event()
+
+        def run() -> None:
+            begun.set()
+            task()
+            task.result()
+
+        self._running.add(self._pool.submit(run))
+        begun.wait(_PATIENCE)
