@@ -18,6 +18,7 @@ from regnet_core.geometry import Box, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.models import DEFAULT_MODEL, load_model
+from regnet_core.ops.parallel import sharing_cores
 from regnet_core.pointcloud import as_points, validate_colors, validate_viewpoint
 from regnet_core.report import DetectionReport, StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
@@ -89,7 +90,7 @@ class GraspDetector:
         filters: GraspFilters | None = None,
         viewpoint: npt.ArrayLike | None = None,
     ) -> Detection:
-        """Find grasps.
+        """Find grasps. Several threads may do so at a time: each then keeps to its share of the cores.
 
         Args:
             points: (N, 3) in metres, in a gravity-aligned frame (z up). NaN and infinite points are dropped.
@@ -115,11 +116,12 @@ class GraspDetector:
         _check_target(limits.target, len(cloud))
         rng = np.random.default_rng(self.seed)
         recorder = StepRecorder()
-        scene = prepare_scene(cloud, rgb, self.config.scene, rng, recorder, camera)
-        grasps = Grasps.empty()
-        if len(scene.seen) >= _MIN_POINTS:
-            grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
-        scene.completed()  # it may have warnings
+        with sharing_cores():
+            scene = prepare_scene(cloud, rgb, self.config.scene, rng, recorder, camera)
+            grasps = Grasps.empty()
+            if len(scene.seen) >= _MIN_POINTS:
+                grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
+            scene.completed()  # it may have warnings
         report = recorder.finish(self.model, self.device)
         if len(grasps) == 0:
             why = explain(report.steps, scene, hand, _MIN_POINTS, limits.target is not None)

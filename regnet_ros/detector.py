@@ -27,7 +27,7 @@ from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Lead, Usual
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
-from regnet_ros.threads import use_threads
+from regnet_ros.threads import usable_cores, use_threads
 from regnet_ros.visuals import grasp_markers
 from regnet_ros.warm_up import made_up_cloud
 
@@ -54,6 +54,10 @@ class Detector(GraspNode[DetectorParameters]):
         self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
+
+    def at_a_time(self) -> int:
+        """As many as the parameters say."""
+        return self.settings.at_a_time or min(self.settings.threads or usable_cores(), 2)
 
     def configure(self) -> None:
         """Make the detector ready to run, then create the topics and the service."""
@@ -98,8 +102,8 @@ class Detector(GraspNode[DetectorParameters]):
         start, expected = time.perf_counter(), self._usual.seconds
         if expected is not None:
             if item is cloud:
-                self._lead.add(self.late, expected)
-            self._ask(expected - self._lead.seconds)
+                self._lead.add(self.workers.late(expected), expected)
+            self._ask(self.workers.free_at(expected) - time.monotonic() - self._lead.seconds)
         try:
             self._answer(cloud, self.settings, start)
         finally:
@@ -117,8 +121,10 @@ class Detector(GraspNode[DetectorParameters]):
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
         except InvalidInputError as error:
+            self.workers.await_turn()
             self._publish(cloud.header, self._nothing(settings.gripper, str(error)), settings.max_markers)
             raise
+        self.workers.await_turn()
         found = time.perf_counter()
         self._publish(cloud.header, detection, settings.max_markers)
         end = time.perf_counter()

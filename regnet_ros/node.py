@@ -24,13 +24,11 @@ from regnet_core.errors import InvalidInputError
 from regnet_core.report import StepReport
 from regnet_ros.health import Health
 from regnet_ros.inputs import OUTPUT_QOS, SensorInput
-from regnet_ros.mailbox import Mailbox
 from regnet_ros.parameters import ParameterStore, Table
 from regnet_ros.spinning import QuickCallbackGroup
+from regnet_ros.workers import Places, Workers
 
 _DIAGNOSTICS_PERIOD = 1.0
-_NAP = 0.02
-"""Longest sleep of a thread that waits for its turn [s]; a signal is noticed so soon."""
 _LAST_WORK = 2.0
 """How long to wait for work that is under way when the node is destroyed [s]."""
 _REPEAT_LOG_AFTER = 5.0
@@ -52,7 +50,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     A subclass names its ``table`` of parameters and implements ``configure`` (create publishers, subscriptions and
     services by the ``add_...`` methods) and ``work`` (one input). Callbacks run in several threads: inputs, services,
     parameters and lifecycle each have a callback group, so that parameters answer while a detection runs. The work has
-    a thread of its own.
+    threads of its own (workers.py).
     """
 
     table: ClassVar[type]
@@ -78,20 +76,13 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._undo: list[Callable[[], object]] = []
         self._inputs: list[SensorInput] = []
         self._last_log = ("", 0.0)
-        self._last_start = self._last_end = self._active_since = -math.inf
-        self.late = 0.0
-        """How long the node had been idle when the present input came, or, below 0, how long that waited [s]."""
         self.health = Health(awaits=awaits)
-        self.busy = threading.Lock()
-        """Held while regnet_core computes: work and services take turns."""
-        self._working = threading.Lock()
+        count = self.at_a_time()
+        self.busy = Places(count)
+        """Taken while regnet_core computes: work and services take turns."""
+        self.workers: Workers[Any] = Workers(f"{name} worker", count, self._work, self._pause)
         self.input_group = QuickCallbackGroup()
         self.service_group = MutuallyExclusiveCallbackGroup()
-        self._mailbox: Mailbox[Any] = Mailbox()
-        self._wake, self._destroyed = threading.Event(), False
-        # Not a callback: the executor would first have to be woken, and to look through everything that it waits for.
-        # It begins when the node is first activated: a node that never gets there can be forgotten.
-        self._worker = threading.Thread(target=self._keep_working, name=f"{name} worker", daemon=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
         # Steady time: with use_sim_time and no clock, timers on the node's clock would never fire.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -111,6 +102,10 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def configure(self) -> None:
         """Create what the node needs; called on the configure transition."""
         raise NotImplementedError
+
+    def at_a_time(self) -> int:
+        """How many inputs are worked on at a time, at most; each then has a thread of its own."""
+        return 1
 
     def work(self, item: Any) -> None:
         """Work on one input, the newest."""
@@ -171,8 +166,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def repeat(self, item: Any) -> None:
         """Work on an item again, unless a newer one waits."""
         if self._active:
-            self._mailbox.put_if_empty(item)
-            self._wake.set()  # in any case: where an item waits and nobody works, nobody else would begin
+            self.workers.put_if_idle(item)
 
     def fail(self, message: str) -> None:
         """Report something that could not be worked on: in the log and in the diagnostics, at once."""
@@ -217,19 +211,13 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     def destroy_node(self) -> None:
         """End the work and release everything (rclpy's method)."""
-        self._active, self._destroyed = False, True
-        self._wake.set()
-        if self._worker.is_alive() and threading.current_thread() is not self._worker:
-            self._worker.join(_LAST_WORK)
+        self._active = False
+        self.workers.end(_LAST_WORK)
         super().destroy_node()
 
     def wait_until_idle(self, timeout: float) -> bool:
         """Wait for work and services to end, at most ``timeout`` [s] each; whether they did."""
-        for lock in (self._working, self.busy):
-            if not lock.acquire(timeout=timeout):
-                return False
-            lock.release()
-        return True
+        return self.workers.wait_until_idle(timeout) and self.busy.wait_until_free(timeout)
 
     def _look_after(self) -> None:
         """What is done once a second."""
@@ -243,37 +231,26 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         if not self._active:
             return
         self.health.received()
-        if self._mailbox.put(message):
+        if self.workers.put(message):
             self.health.dropped()
-        self._wake.set()
 
-    def _keep_working(self) -> None:
-        while not self._destroyed:
-            self._wake.wait()
-            self._wake.clear()
-            self._guarded(self._work)()
+    def _work(self, item: Any) -> None:
+        try:
+            self.work(item)
+        except InvalidInputError as error:
+            self.fail(str(error))
+        except Exception as error:
+            self.crash(error, "while working on an input")
 
-    def _work(self) -> None:
-        while self._wait_for_turn() and (item := self._mailbox.take()) is not None:
-            self._last_start = time.monotonic()
-            self.late = min(self._mailbox.put_at, self._last_start) - max(self._last_end, self._active_since)
-            try:
-                with self._working:
-                    self.work(item)
-            except InvalidInputError as error:
-                self.fail(str(error))
-            except Exception as error:
-                self.crash(error, "while working on an input")
-            self._last_end = time.monotonic()
-
-    def _wait_for_turn(self) -> bool:
-        """Wait for as long as the parameters and ``pause`` ask; whether the node is still active then."""
-        while self._active and self.context.ok():
-            left = max(self._last_start + self.settings.least_period - time.monotonic(), self.pause())
-            if left <= 0.0:
-                return True
-            time.sleep(min(left, _NAP))
-        return False
+    def _pause(self, last_start: float) -> float:
+        """How long to wait, as the parameters and ``pause`` ask, before work on the next input begins [s]."""
+        if not (self._active and self.context.ok()):
+            return math.inf
+        try:
+            return max(last_start + self.settings.least_period - time.monotonic(), self.pause())
+        except Exception as error:  # the context may have been shut down meanwhile
+            self.crash(error, "while waiting for its turn")
+            return math.inf
 
     # -- parameters ----------------------------------------------------------------------------------------------
 
@@ -322,11 +299,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to work (rclpy's hook)."""
         result = super().on_activate(state)
-        self._mailbox.take()  # what a callback that was under way put in after the deactivation
-        self._active_since = time.monotonic()
+        self.workers.begin()
         self._active = result == _SUCCESS
-        if self._worker.ident is None:
-            self._worker.start()
         self.get_logger().info(f"active, waiting for {self.health.awaits()}")
         return result
 
@@ -348,13 +322,15 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     def _stop(self) -> None:
         self._active = False
-        self._mailbox.take()
+        self.workers.forget()
         self.deactivated()
 
     def _tear_down(self) -> None:
-        with self._working:  # not under the feet of the work on the last input
+        def release() -> None:
             while self._undo:
                 self._undo.pop()()
+
+        self.workers.stop_for(release)  # not under the feet of the work on the last input
 
     # -- callbacks that do not let an exception out ----------------------------------------------------------------
 

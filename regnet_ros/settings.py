@@ -156,8 +156,15 @@ class DetectorParameters(SensorParameters):
     )
     threads: int = parameter(
         0,
-        "Threads that a detection uses on the CPU; 0: one for each core that the process may use.",
+        "Threads that detections use on the CPU; 0: one for each core that the process may use.",
         limits=(0, 1024),
+        read_only=True,
+    )
+    at_a_time: int = parameter(
+        0,
+        "Clouds worked on at a time, at most, each by its share of the threads: more clouds in a second, each a little "
+        "later. 0: 2 where there are 2 threads, else 1.",
+        limits=(0, 16),
         read_only=True,
     )
     seed: int = parameter(
@@ -240,6 +247,7 @@ class DetectorParameters(SensorParameters):
             "input_reliability",
             "max_rate",
             "threads",
+            "at_a_time",
         )
         return all(
             getattr(self, f.name) == getattr(other, f.name) for f in fields(DetectorParameters) if f.name not in aside

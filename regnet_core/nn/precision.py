@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Literal
 
 import torch
@@ -63,20 +63,34 @@ def detecting(device: torch.device, precision: Precision) -> AbstractContextMana
     if device.type != "cpu":
         return autocast(device)
     if precision == "int8":
-        return _small_steps()
+        return _SMALL_STEPS
     return torch.autocast("cpu", dtype=torch.bfloat16) if precision == "bf16" else nullcontext()
 
 
-@contextmanager
-def _small_steps() -> Iterator[None]:
+class _SmallSteps:
     """What is left to torch between products of bytes is too little to be worth waking its threads for: on two virtual
-    cores a detection with ``regnetv2-s`` took 58 ms with one thread of torch and 69 ms with two, beside our own two."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
+    cores a detection with ``regnetv2-s`` took 58 ms with one thread of torch and 69 ms with two, beside our own two.
+
+    torch keeps the number for each thread, and new threads begin with what was said last: of several detections at a
+    time the first one knows what it was before."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._threads = Lock(), 0, 1
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                self._threads = torch.get_num_threads()
+            self._inside += 1
+        torch.set_num_threads(1)
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._inside -= 1
+        torch.set_num_threads(self._threads)
+
+
+_SMALL_STEPS = _SmallSteps()
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from threading import local
+from threading import Lock, local
 from typing import TypeVar
 
 _WORTH = 300_000
@@ -17,6 +17,8 @@ Result = TypeVar("Result")
 _limit: int | None = None
 _thread = local()
 """What is said of the thread that asks."""
+_under_way, _counting = 0, Lock()
+"""How many computations share the cores now."""
 
 
 def use_cores(count: int) -> None:
@@ -47,6 +49,11 @@ def _forget() -> None:
     available_cores.cache_clear()
 
 
+def _nothing_under_way() -> None:
+    global _under_way, _counting
+    _under_way, _counting = 0, Lock()
+
+
 def forget_at_fork(forget: Callable[[], None]) -> None:
     """Call this in every forked process: it inherits a pool but not its threads, and work given to it would wait for
     ever."""
@@ -55,6 +62,7 @@ def forget_at_fork(forget: Callable[[], None]) -> None:
 
 
 forget_at_fork(_forget)
+forget_at_fork(_nothing_under_way)
 
 
 @contextmanager
@@ -65,6 +73,27 @@ def on_one_core() -> Iterator[None]:
         yield
     finally:
         _thread.alone = False
+
+
+@contextmanager
+def sharing_cores() -> Iterator[None]:
+    """Of several computations of this process within this context, each keeps to its share of the cores: side by side
+    they get more done than one after the other, as hardly any work can be split without loss."""
+    global _under_way
+    with _counting:
+        _under_way += 1
+    try:
+        yield
+    finally:
+        with _counting:
+            _under_way -= 1
+
+
+def _own_cores() -> int:
+    """How many cores the thread that asks may use now."""
+    if getattr(_thread, "alone", False):
+        return 1
+    return max(available_cores() // max(_under_way, 1), 1)
 
 
 def for_each_range(kernel: Callable[[int, int], None], count: int, each: float) -> None:
@@ -80,9 +109,9 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, each: float) 
     threads at a time, which the callbacks of a ROS executor do. The caller works too: to wake a thread that sleeps
     takes about as long as a small piece of the work.
     """
-    cores = available_cores()
+    cores = _own_cores()
     pieces = min(cores * 4, count, int(count * each / _WORTH))
-    if pieces <= 1 or cores == 1 or getattr(_thread, "alone", False):
+    if pieces <= 1 or cores == 1:
         kernel(0, count)
         return
     bounds = [count * i // pieces for i in range(pieces + 1)]
@@ -103,9 +132,10 @@ def for_each_range(kernel: Callable[[int, int], None], count: int, each: float) 
 
 def beside(work: Callable[[], Result]) -> Callable[[], Result]:
     """Have work done on another core from now on -> what waits for it and gives its result, or raises its error, each
-    time that it is called. Where this process has one core, the work is done at once, and an error raised at once.
+    time that it is called. Where there is one core for this thread, the work is done at once, and an error raised at
+    once.
     """
-    if available_cores() == 1 or getattr(_thread, "alone", False):
+    if _own_cores() == 1:
         done = work()
         return lambda: done
 

@@ -1,10 +1,12 @@
 """GraspDetector on objects of known size, with the model antipodal: order, limits, reasons, reproducibility."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 import shapes
+import torch
 import trimesh
 
 from regnet_core import (
@@ -102,6 +104,21 @@ def test_the_same_seed_gives_the_same_grasps_and_another_seed_others() -> None:
     assert np.array_equal(a.translation, b.translation)
     assert np.array_equal(a.rotation, b.rotation)
     assert not np.array_equal(a.translation[:20], c.translation[:20])
+
+
+@pytest.mark.parametrize("model", ["antipodal", "regnetv2-s"])
+def test_detections_in_several_threads_give_what_each_gives_alone(model: str) -> None:
+    detector, widths = GraspDetector(model), [0.05, 0.08, 0.11, 0.08]
+    scenes = [np.concatenate([moved(BOX, x=0.1 * i), moved(CYLINDER, x=-0.15)]) for i in (1, 2, 1, 2)]
+    threads_of_torch = torch.get_num_threads()
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(lambda i: detector.detect(scenes[i % 4], Gripper(widths[i % 4])).grasps, range(8)))
+    for i, grasps in enumerate(together):
+        alone = detector.detect(scenes[i % 4], Gripper(widths[i % 4])).grasps
+        assert len(alone) > 0
+        np.testing.assert_array_equal(grasps.rotation, alone.rotation)
+        np.testing.assert_array_equal(grasps.quality, alone.quality)
+    assert torch.get_num_threads() == threads_of_torch
 
 
 def test_the_input_is_not_changed() -> None:

@@ -86,6 +86,25 @@ def test_work_is_split_where_that_pays(count: int, each: float, ranges: int, mon
     assert sorted(i for start, stop in done for i in range(start, stop)) == list(range(count))
 
 
+def test_computations_side_by_side_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ranges() -> int:
+        done: list[int] = []
+        parallel.for_each_range(lambda start, stop: done.append(stop - start), 1000, 1e5)
+        return len(done)
+
+    with ThreadPoolExecutor(4) as pool:
+        monkeypatch.setattr(parallel, "available_cores", lambda: 4)
+        monkeypatch.setattr(parallel, "_pool", lambda: pool)
+        with parallel.sharing_cores():
+            assert ranges() == 16
+            with parallel.sharing_cores():  # as another thread would
+                assert ranges() == 8
+                with parallel.sharing_cores():
+                    assert ranges() == 1
+                    assert parallel.beside(threading.current_thread)() is threading.current_thread()
+            assert ranges() == 16
+
+
 def test_a_forked_process_can_go_on_working() -> None:
     script = """
 import os, signal

@@ -242,6 +242,16 @@ def test_parameters_answer_and_the_newest_cloud_wins_while_clouds_come_too_fast(
     assert after.input_rate > after.output_rate
 
 
+def test_arrays_come_in_the_order_of_their_clouds(detector: Detector) -> None:
+    """Of two clouds that are worked on at a time the small one is done first."""
+    detector.grasps.clear()
+    small = SCENE[::20]
+    stamps = [detector.send(points).header.stamp.sec for points in (SCENE, small) * 10]
+    detector.grasps.wait(lambda array: array.header.stamp.sec == stamps[-1], what="the last GraspArray")
+    came = [array.header.stamp.sec for array in detector.grasps.all()]
+    assert came == sorted(came) and len(came) > 1
+
+
 def test_colours_are_accepted(detector: Detector) -> None:
     packed = np.full(len(SCENE), 0x00102030, np.uint32).view(np.float32)
     message = cloud(SCENE, fields=(*XYZ, field("rgb", 12)), point_step=16, extra={"rgb": packed}, stamp=99)

@@ -117,14 +117,14 @@ def test_a_refused_input_is_reported_in_its_own_words(running: Running) -> None:
 
 def test_an_item_that_nobody_was_woken_for_does_not_keep_later_work_out(running: Running) -> None:
     running.echoes.clear()
-    running.node._mailbox.put(String(data="a b"))
+    running.node.workers._mailbox.put(String(data="a b"))
     running.node.repeat(String(data="c"))
     assert running.echoes.wait().data == "a b"
 
 
 def test_what_was_left_over_at_a_deactivation_is_not_worked_on_after_the_next_activation(running: Running) -> None:
     assert running.peer.change_state("made_up", Transition.TRANSITION_DEACTIVATE)
-    running.node._mailbox.put(String(data="a b"))  # as a callback does that had looked at the state before
+    running.node.workers._mailbox.put(String(data="a b"))  # as a callback does that had looked at the state before
     assert running.peer.change_state("made_up", Transition.TRANSITION_ACTIVATE)
     running.echoes.clear()
     running.node.repeat(String(data="xyz"))
