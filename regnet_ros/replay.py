@@ -8,7 +8,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
 from regnet_core.errors import BagError, InvalidInputError
-from regnet_ros.bag import Bag, message_class
+from regnet_ros.bag import Bag, BagMessage, message_class
+from regnet_ros.transport import make_room_for_clouds
 
 _CLOCK_PERIOD = 0.01
 _NAP = 0.05
@@ -36,6 +37,8 @@ that long.
 """
 _HANDSHAKE = 0.2
 """How long a subscriber that was found may need to find the publisher [s]."""
+_KEPT = 512 << 20
+"""Messages of so many bytes are kept in memory to be played again, decompressed once."""
 _LAST_WORDS = 5.0
 """How long to wait at the end for reliable subscribers to have everything [s]."""
 
@@ -70,6 +73,8 @@ class Player:
         self._bag = Bag(options.bag)
         self._publishers: dict[str, Any] = {}
         self._clock = node.create_publisher(Clock, "/clock", 10) if options.clock else None
+        self._kept: list[BagMessage] = []
+        self._all_kept = False
         renamed = dict(options.remap)
         for name in self._wanted([*options.topics, *renamed]):
             topic = self._bag.topics[name]
@@ -102,7 +107,7 @@ class Player:
 
     def _play_once(self) -> int:
         start, first, count = time.monotonic(), None, 0
-        for message in self._bag.messages(list(self._publishers)):
+        for message in self._messages():
             first = message.time_ns if first is None else first
             self._sleep_until(start + (message.time_ns - first) / 1e9 / self._options.rate, message.time_ns)
             if not self._running:
@@ -113,6 +118,23 @@ class Player:
                 publisher.wait_for_all_acked(Duration(seconds=1.0))
             count += 1
         return count
+
+    def _messages(self) -> Iterator[BagMessage]:
+        """Those of the bag; in a loop from memory, once they have been read, where there are not too many."""
+        if self._all_kept:
+            yield from self._kept
+            return
+        self._kept.clear()
+        size, small = 0, self._options.loop
+        for message in self._bag.messages(list(self._publishers)):
+            yield message
+            size += len(message.data)
+            small = small and size <= _KEPT
+            if small:
+                self._kept.append(message)
+            else:
+                self._kept.clear()
+        self._all_kept = small
 
     def _sleep_until(self, due: float, time_ns: int) -> None:
         """Sleep until ``due``; publish the clock of the bag, which reads ``time_ns`` then."""
@@ -209,6 +231,7 @@ def main(args: Sequence[str] | None = None) -> int:
     stops: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):  # rclpy's own handlers shut the context down and call these
         signal.signal(number, lambda received, _: stops.append(received))
+    make_room_for_clouds()
     try:
         rclpy.init(args=["replay", *ros])
         node = rclpy.create_node("replay", start_parameter_services=False)

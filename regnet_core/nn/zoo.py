@@ -46,7 +46,7 @@ REGNETV2 = NetworkConfig()
 """The paper's size."""
 
 COMPACT_REFINEMENT = RefinementConfig(
-    channels=(96, 96, 192), fusion=(192,), margin=0.01, point_features=True, passes=2, proposals=(768, 384)
+    channels=(96, 96, 192), fusion=(192,), margin=0.01, point_features=True, passes=2, proposals=(768, 256)
 )
 
 REGNETV2_S = NetworkConfig(
