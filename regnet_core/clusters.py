@@ -9,11 +9,10 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError
 
 from regnet_core.geometry import Array, Mask
 from regnet_core.ops.cells import bounds_of_cells, cells_below, flat_cells
-from regnet_core.ops.outline import corner_candidates, outside
+from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 
 Index = npt.NDArray[np.int64]
 
@@ -133,10 +132,7 @@ def beyond(points: Array, ground: Array, margin: float = 0.1, max_width: float =
     if len(points) == 0 or len(ground) < 4:
         return result
     main = (patches.size >= 0.1 * patches.size.max())[patches.label]
-    try:
-        outline = ConvexHull(ground[corner_candidates(ground, main), :2]).equations
-    except QhullError:  # all in one line
-        return result
+    outline = convex_outline(ground[corner_candidates(ground, main)])
     beside = np.flatnonzero(outside(points, outline, margin))
     if len(beside) == 0:
         return result

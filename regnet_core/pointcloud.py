@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane, normalised
+from regnet_core.ops.cells import cells_with_points
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import first_in_voxels, moved_rows, rows_in_box, valid_rows
@@ -331,8 +332,7 @@ def _is_flat(height: Array, tolerance: float) -> bool:
 
 def _area(points: Array, cell: float = 0.03) -> float:
     """Area of the squares of a horizontal grid that points (N, 3) fall into [m2]."""
-    column, row = np.floor(points[:, :2] / cell).astype(np.int64).T
-    return cell * cell * len(np.unique(column * 1_000_003 + row))
+    return cell * cell * cells_with_points(points, cell)
 
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:

@@ -26,6 +26,7 @@ from torch import Tensor
 
 from regnet_core.checks import as_vector, check_range
 from regnet_core.errors import InvalidInputError
+from regnet_core.ops.grasp_code import decoded_grasps, is_plain
 
 ANCHORS = ((1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (1.0, -1.0, -1.0), (1.0, -1.0, 1.0))
 """Closing directions of the paper's M = 4 anchors, before they are divided by sqrt(3)."""
@@ -106,8 +107,12 @@ class GraspCoder:
 
     def decode(self, point: Tensor, anchor: Tensor, residual: Tensor) -> Pose:
         """Grasps (...) of residuals (..., 8) at points (..., 3) [m] and anchors (...,); shapes broadcast."""
-        residual = residual.to(point.dtype)
-        rotation = _decode_rotation(residual, self.anchors(point)[anchor], _down(point))
+        residual, direction = residual.to(point.dtype), self.anchors(point)[anchor]
+        if point.dim() == 2 and is_plain(point, direction, residual):
+            frame, theta, config = torch.eye(3).expand(len(point), 3, 3), (1.0, 0.0), self.config
+            scale, depth = config.centre_scale, config.reference_depth
+            return Pose(*decoded_grasps(frame, point, direction, theta, residual, scale, depth))
+        rotation = _decode_rotation(residual, direction, _down(point))
         reference = point + self.config.centre_scale * residual[..., CENTRE]
         return Pose(rotation, reference - self.config.reference_depth * rotation[..., :, 0])
 
@@ -129,6 +134,10 @@ class RefineCoder:
     def decode(self, proposal: Pose, residual: Tensor) -> Pose:
         """Refined grasps (...) of proposals and residuals (..., 8); shapes broadcast."""
         residual = residual.to(proposal.translation.dtype)
+        if residual.dim() == 2 and is_plain(residual, *proposal):
+            depth, scale = self.config.reference_depth, self.config.refine_scale
+            reference, direction = _reference_point(proposal, depth), _sideways(residual).expand(len(residual), 3)
+            return Pose(*decoded_grasps(proposal.rotation, reference, direction, (0.0, 1.0), residual, scale, depth))
         own = _decode_rotation(residual, _sideways(residual), _ahead(residual))
         rotation = _product(proposal.rotation, own)
         offset = _rotated(proposal.rotation, residual[..., CENTRE])

@@ -18,6 +18,24 @@ def cells_below(points: npt.NDArray[Any], cell: float) -> npt.NDArray[np.int64]:
     return index
 
 
+_MAP = 4_000_000
+"""Cells of the largest map that is made to count those with points."""
+
+
+def cells_with_points(points: npt.NDArray[Any], cell: float) -> int:
+    """How many cells there are with points (N, >= 2), by x and y."""
+    if len(points) == 0:
+        return 0
+    index = cells_below(points, cell)
+    low, high = bounds_of_cells(index)
+    size = high - low + 1
+    if float(size[0]) * float(size[1]) > _MAP:
+        return len(np.unique(index, axis=0))
+    seen = np.zeros(int(size[0] * size[1]), np.bool_)
+    seen[flat_cells(index, low, size[1])] = True
+    return int(np.count_nonzero(seen))
+
+
 @compiled
 def bounds_of_cells(index):  # type: ignore[no-untyped-def]
     """The least and the largest cell (2,) along each axis of cells (N, 2), N > 0."""

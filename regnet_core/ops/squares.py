@@ -6,10 +6,12 @@ a few times faster on maps of the size of a table's.
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+
+from regnet_core.ops.compiled import compiled
 
 Number = TypeVar("Number", bound=np.generic)
 
@@ -30,13 +32,29 @@ def closed(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
 
 
 def _along(values: npt.NDArray[Number], reach: int, axis: int, best: np.ufunc) -> npt.NDArray[Number]:
-    found = values if axis == 0 else values.T
-    known = 0
-    while known < reach:  # what is known of three cells says it of all between them, at the border too
-        step = min(known + 1, reach - known)
-        given, found = found, found.copy()
-        if step < len(given):
-            best(found[step:], given[:-step], out=found[step:])
-            best(found[:-step], given[step:], out=found[:-step])
-        known += step
-    return found if axis == 0 else found.T
+    plain: npt.NDArray[Any] = values.view(np.uint8) if values.dtype == np.bool_ else values
+    found = plain.copy(order="C")
+    _best_along(np.ascontiguousarray(plain), reach, axis, best is np.maximum, found)
+    return found.view(values.dtype)
+
+
+@compiled
+def _best_along(values, reach, axis, largest, found):  # type: ignore[no-untyped-def]
+    rows, columns = values.shape
+    for i in range(rows):
+        for step in range(-reach, reach + 1):
+            if axis == 0:
+                if i + step < 0 or i + step >= rows:
+                    continue
+                row, other = found[i], values[i + step]
+            else:
+                row = found[i, max(0, -step) : max(0, min(columns, columns - step))]
+                other = values[i, max(0, step) : max(0, min(columns, columns + step))]
+            if largest:
+                for j in range(len(row)):
+                    one, two = row[j], other[j]
+                    row[j] = one if one > two else two
+            else:
+                for j in range(len(row)):
+                    one, two = row[j], other[j]
+                    row[j] = one if one < two else two

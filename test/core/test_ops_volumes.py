@@ -7,11 +7,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from regnet_core import clusters
 from regnet_core.clusters import cluster
-from regnet_core.ops.cells import cells_below, highest, mark_nearest
+from regnet_core.ops.cells import cells_below, cells_with_points, highest, mark_nearest
 from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.nearby import kth_distance, near_any
-from regnet_core.ops.outline import corner_candidates, outside
+from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 from regnet_core.ops.rows import first_in_voxels, rows_in_box, valid_rows
 from regnet_core.pointcloud import voxel_downsample
 
@@ -130,6 +130,9 @@ def test_walls_of_a_ramp_by_hand() -> None:
 def test_cells_of_points() -> None:
     points = RNG.normal(size=(500, 3))
     np.testing.assert_array_equal(cells_below(points, 0.3), np.floor(points[:, :2] / 0.3))
+    for cell in (0.3, 1e-5):  # the small ones are too many for a map
+        assert cells_with_points(points, cell) == len(np.unique(np.floor(points[:, :2] / cell), axis=0))
+    assert cells_with_points(points[:0], 0.3) == 0
     low = points[:, :2].min(axis=0) - 0.5
     index = np.round((points[:, :2] - low) / 0.3).astype(int)
     marked, top = np.zeros((40, 40), bool), np.zeros((40, 40))
@@ -163,6 +166,19 @@ def test_corners_of_a_hull_are_among_the_candidates() -> None:
         probes = 3.0 * RNG.normal(size=(200, 2))
         expected = (probes @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1) > 0.2
         np.testing.assert_array_equal(outside(probes, again.equations, 0.2), expected)
+
+
+def test_a_convex_outline_is_the_hull() -> None:
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 0.0], [2.0, 2.0], [0.0, 2.0], [1.0, 1.0], [0.0, 0.0]])
+    expected = [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, -2.0], [1.0, 0.0, -2.0]]
+    np.testing.assert_allclose(sorted(convex_outline(square).tolist()), expected, atol=1e-15)
+    for points in (RNG.normal(size=(300, 3)).astype(np.float32), RNG.random((40, 2)), RNG.random((3, 2))):
+        hull = ConvexHull(points[:, :2]).equations
+        own = convex_outline(points)
+        assert len(own) == len(hull)
+        np.testing.assert_allclose(own[np.argsort(own[:, 0])], hull[np.argsort(hull[:, 0])], atol=1e-6)
+    for points in (np.stack([np.arange(9.0)] * 2, axis=1), np.ones((5, 3)), np.ones((1, 2)), np.eye(2)):
+        assert convex_outline(points).shape == (0, 3)
 
 
 def test_rows_in_a_box() -> None:

@@ -143,6 +143,28 @@ def test_decoded_rotations_are_rotations_whatever_the_network_says(seed: int) ->
         assert (torch.linalg.det(pose.rotation) - 1).abs().max() < 1e-12
 
 
+@pytest.mark.parametrize("config", CONFIGS)
+def test_without_gradients_the_same_comes_from_one_loop(config: CoderConfig) -> None:
+    """Also where residuals cancel the anchor or the angle, or make the closing direction vertical."""
+    points, anchor = points_and_anchors(300, config)
+    residual = torch.randn(300, RESIDUALS, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    directions = GraspCoder(config).anchors(points)[anchor]
+    residual[0, CLOSING] = -directions[0]
+    residual[1, THETA] = torch.tensor([-1.0, 0.0], dtype=torch.float64)
+    residual[2, CLOSING] = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) - directions[2]
+    residual[3, THETA] = torch.tensor([0.0, -1.0], dtype=torch.float64)
+    residual[4, CLOSING] = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64)
+    wanted = residual.clone().requires_grad_()
+    proposals = random_pose(300, 4)
+    for found, expected in (
+        (GraspCoder(config).decode(points, anchor, residual), GraspCoder(config).decode(points, anchor, wanted)),
+        (RefineCoder(config).decode(proposals, residual), RefineCoder(config).decode(proposals, wanted)),
+    ):
+        assert expected.rotation.requires_grad and not found.rotation.requires_grad
+        assert (found.rotation - expected.rotation).abs().max() < 1e-9
+        assert (found.translation - expected.translation).abs().max() < 1e-9
+
+
 def test_a_region_and_all_its_anchors_at_once() -> None:
     points, _ = points_and_anchors(7, CoderConfig())
     residual = torch.randn(7, 4, RESIDUALS, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
