@@ -44,9 +44,8 @@ class MessagePath:
         sent(visuals.plane_marker(header, detection.plane, prepared.points))
         message = received(data, PointCloud2)
         conversions.cloud_from_message(message)
-        array = conversions.grasp_array(header, detection.grasps, detection.gripper, detection.report)
-        sent(array)
-        poses = conversions.pose_array(array)
+        conversions.serialized_grasp_array(header, detection.grasps, detection.gripper, detection.report)
+        poses = conversions.pose_array(header, detection.grasps)
         sent(poses)
         sent(visuals.grasp_markers(header, detection.grasps, detection.gripper, _MAX_MARKERS))
         return poses

@@ -36,8 +36,8 @@ MESSAGE_STAGES = (
     Stage(
         "grasps to message",
         "messages",
-        "grasps and report to a GraspArray and a PoseArray",
-        ("regnet_ros.conversions:grasp_array", "regnet_ros.conversions:pose_array"),
+        "grasps and report to a serialized GraspArray, and to a PoseArray",
+        ("regnet_ros.conversions:serialized_grasp_array", "regnet_ros.conversions:pose_array"),
     ),
     Stage(
         "markers",

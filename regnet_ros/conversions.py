@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from geometry_msgs.msg import Pose, PoseArray, PoseStamped
+from rclpy.serialization import serialize_message
 from regnet_msgs.msg import Grasp, GraspArray, SelectedGrasp
 from regnet_msgs.msg import Gripper as GripperMessage
 from regnet_msgs.msg import StepReport as StepMessage
@@ -181,9 +182,31 @@ def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: Detect
     )
 
 
-def pose_array(array: GraspArray) -> PoseArray:
-    """The grasp frames of an array, best first."""
-    return PoseArray(header=array.header, poses=[grasp.pose for grasp in array.grasps])
+def serialized_grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: DetectionReport) -> bytes:
+    """The same message as a publisher sends it, ten times sooner where there are many grasps.
+
+    A grasp is eleven float64 in CDR, with nothing between them: rclpy serializes the message with one of them, in the
+    place of which all are written.
+    """
+    if len(grasps) == 0:
+        return bytes(serialize_message(grasp_array(header, grasps, gripper, report)))
+    one = bytes(serialize_message(grasp_array(header, grasps[:1], gripper, report)))
+    quaternions = quaternion_from_matrix(grasps.rotation)
+    numbers = (grasps.width, grasps.quality, grasps.vertical_score, grasps.confidence)
+    table = np.column_stack([grasps.translation, quaternions, *numbers]).astype(np.float64)
+    # Before the grasps: 4 bytes that name the encoding, behind which alignment begins; stamp, frame, gripper, number.
+    frame_end = 8 + 4 + len(header.frame_id.encode()) + 1
+    count_at = 4 + -(-frame_end // 8) * 8 + 5 * 8
+    first = count_at + 8
+    kind = "<" if one[1] == 1 else ">"
+    count = np.array([len(grasps), 0], f"{kind}u4").tobytes()
+    assert one[count_at : count_at + 4] == np.array([1], f"{kind}u4").tobytes()
+    return one[:count_at] + count + table.astype(f"{kind}f8").tobytes() + one[first + table.shape[1] * 8 :]
+
+
+def pose_array(header: Header, grasps: Grasps) -> PoseArray:
+    """The grasp frames, best first."""
+    return PoseArray(header=header, poses=poses_to_messages(grasps.poses))
 
 
 def selected_grasp(

@@ -21,7 +21,13 @@ from regnet_core.errors import CloudError, InvalidInputError, ModelError
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.report import DetectionReport
-from regnet_ros.conversions import cloud_from_message, grasp_array, gripper_from_message, pose_array
+from regnet_ros.conversions import (
+    cloud_from_message,
+    grasp_array,
+    gripper_from_message,
+    pose_array,
+    serialized_grasp_array,
+)
 from regnet_ros.inputs import NEXT_CLOUD
 from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Lead, Usual
@@ -150,9 +156,8 @@ class Detector(GraspNode[DetectorParameters]):
         return detection, seconds
 
     def _publish(self, header: Header, detection: Detection, max_markers: int) -> None:
-        array = grasp_array(header, detection.grasps, detection.gripper, detection.report)
-        self._grasps.publish(array)
-        publish_if_heard(self._poses, lambda: pose_array(array))
+        self._grasps.publish(serialized_grasp_array(header, detection.grasps, detection.gripper, detection.report))
+        publish_if_heard(self._poses, lambda: pose_array(header, detection.grasps))
         publish_if_heard(self._markers, lambda: grasp_markers(header, detection.grasps, detection.gripper, max_markers))
 
     def _on_detect(self, request: DetectGrasps.Request, response: DetectGrasps.Response) -> DetectGrasps.Response:

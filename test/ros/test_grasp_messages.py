@@ -25,6 +25,7 @@ from regnet_ros.conversions import (
     pose_to_message,
     report_from_message,
     selected_grasp,
+    serialized_grasp_array,
 )
 from regnet_ros.selector import _candidates
 from regnet_ros.visuals import grasp_markers, gripper_lines, plane_marker, rank_colour, selection_markers
@@ -46,6 +47,24 @@ def test_grasps_survive_the_wire() -> None:
     assert report_from_message(received) == report
 
 
+@pytest.mark.parametrize("frame", ["", "w", "world", "camera_1", "Größe/µ", "a_frame_with_a_long_name"])
+@pytest.mark.parametrize("count", [0, 1, 2, 250])
+def test_an_array_is_serialized_as_rclpy_does_it(frame: str, count: int) -> None:
+    rng = np.random.default_rng(count)
+    quaternions = rng.normal(size=(count, 4))
+    rotation = matrix_from_quaternion(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
+    numbers = (rng.normal(size=(count, 3)), *rng.random((3, count)))
+    batch = Grasps.from_poses(rotation, *numbers) if count else Grasps.empty()
+    steps = (StepReport("proposals", 10, 3, 0.25), StepReport("collision", 4, 6, 0.001))
+    report = DetectionReport(steps[: count % 3], "made-up", "cpu", "", 0.5, ("the cloud is sparse",) * (count % 2))
+    header = Header(frame_id=frame)
+    header.stamp.sec, header.stamp.nanosec = 1_700_000_000, 123_456_789
+    expected = serialize_message(grasp_array(header, batch, Gripper(width=0.07), report))
+    data = serialized_grasp_array(header, batch, Gripper(width=0.07), report)
+    assert len(data) == len(expected)  # what is between fields is anything
+    assert deserialize_message(data, GraspArray) == deserialize_message(expected, GraspArray)
+
+
 def test_random_rotations_survive() -> None:
     quaternions = np.random.default_rng(0).normal(size=(200, 4))
     rotation = matrix_from_quaternion(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
@@ -58,7 +77,7 @@ def test_no_grasps() -> None:
     message = array(batch=Grasps.empty(), reason="nothing there")
     assert (len(message.grasps), message.reason) == (0, "nothing there")
     assert len(grasps_from_messages(message.grasps)) == 0
-    assert pose_array(message).poses == []
+    assert pose_array(HEADER, Grasps.empty()).poses == []
 
 
 def test_the_pose_message_has_the_axes_of_the_grasp_frame() -> None:
