@@ -31,6 +31,7 @@ from regnet_ros.conversions import (
 from regnet_ros.inputs import NEXT_CLOUD
 from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Lead, Usual
+from regnet_ros.preprocessor import PreparedCloud, Preprocessor
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import usable_cores, use_threads
@@ -44,7 +45,7 @@ _EARLY = 0.75
 class _Again(NamedTuple):
     """The last cloud, to be worked on with changed parameters."""
 
-    cloud: PointCloud2
+    cloud: PointCloud2 | PreparedCloud
 
 
 class Detector(GraspNode[DetectorParameters]):
@@ -52,11 +53,16 @@ class Detector(GraspNode[DetectorParameters]):
 
     table = DetectorParameters
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, source: Preprocessor | None = None, **kwargs: Any) -> None:
+        """Args:
+        source: a node of this process whose clouds are worked on instead of those of the topic `cloud`.
+        kwargs: of ``rclpy.node.Node``.
+        """
+        self._source = source
         self._detectors: dict[tuple[object, ...], GraspDetector] = {}
         self._warm: set[tuple[str, str]] = set()
         self._in_use = ("", "")
-        self._last_cloud: PointCloud2 | None = None
+        self._last_cloud: PointCloud2 | PreparedCloud | None = None
         self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
@@ -75,11 +81,20 @@ class Detector(GraspNode[DetectorParameters]):
         self._grasps = self.add_publisher(GraspArray, "grasps")
         self._poses = self.add_publisher(PoseArray, "grasp_poses")
         self._markers = self.add_publisher(MarkerArray, "grasp_markers")
-        self._requests = self.add_publisher(Duration, NEXT_CLOUD)
         self.add_service(DetectGrasps, "detect_grasps", self._on_detect)
-        source = self.add_input(PointCloud2, "cloud", settings.input_reliability)
-        self.health.awaits = lambda: f"clouds on {source.description}"
+        self._listen(settings)
         self.at_cleanup(self._forget)
+
+    def _listen(self, settings: DetectorParameters) -> None:
+        source = self._source
+        if source is not None:
+            source.hand_to(self.receive)
+            self.at_cleanup(lambda: source.hand_to(None))
+            self.health.awaits = lambda: f"clouds of {source.get_fully_qualified_name()}"
+            return
+        self._requests = self.add_publisher(Duration, NEXT_CLOUD)
+        topic = self.add_input(PointCloud2, "cloud", settings.input_reliability)
+        self.health.awaits = lambda: f"clouds on {topic.description}"
 
     def check_settings(self, proposed: DetectorParameters) -> None:
         """Refuse a model or device that cannot be had; make another one ready while the present one works on."""
@@ -101,7 +116,7 @@ class Detector(GraspNode[DetectorParameters]):
         self._ask(0.0)
         return result
 
-    def work(self, item: PointCloud2 | _Again) -> None:
+    def work(self, item: PointCloud2 | PreparedCloud | _Again) -> None:
         """Find grasps in one cloud; whatever the cloud is like, one GraspArray is published."""
         cloud = item.cloud if isinstance(item, _Again) else item
         self._last_cloud = cloud
@@ -121,9 +136,12 @@ class Detector(GraspNode[DetectorParameters]):
     def _ask(self, seconds: float, since_start: float = 0.0) -> None:
         """Ask for another cloud in so many seconds, or when the parameters allow the next work."""
         left = max(seconds, self.settings.least_period - since_start, 0.0)
-        self._requests.publish(Duration(sec=int(left), nanosec=int(1e9 * (left % 1.0))))
+        if self._source is not None:
+            self._source.want(left)
+        else:
+            self._requests.publish(Duration(sec=int(left), nanosec=int(1e9 * (left % 1.0))))
 
-    def _answer(self, cloud: PointCloud2, settings: DetectorParameters, start: float) -> None:
+    def _answer(self, cloud: PointCloud2 | PreparedCloud, settings: DetectorParameters, start: float) -> None:
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
         except InvalidInputError as error:
@@ -142,11 +160,13 @@ class Detector(GraspNode[DetectorParameters]):
             "; ".join(filter(None, [report.reason, *report.warnings])),
         )
 
-    def _detect(self, cloud: PointCloud2, settings: DetectorParameters, gripper: Gripper) -> tuple[Detection, float]:
+    def _detect(
+        self, cloud: PointCloud2 | PreparedCloud, settings: DetectorParameters, gripper: Gripper
+    ) -> tuple[Detection, float]:
         """The detection, and the seconds that decoding the message took."""
         _check_frame(cloud.header, settings.target_frame)
         start = time.perf_counter()
-        decoded = cloud_from_message(cloud)
+        decoded = cloud if isinstance(cloud, PreparedCloud) else cloud_from_message(cloud)
         seconds = time.perf_counter() - start
         viewpoint = np.array(settings.viewpoint) if settings.viewpoint else None
         with self.busy:
@@ -233,7 +253,7 @@ def _check_frame(header: Header, target_frame: str) -> None:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the exit code of the process."""
-    return run(Detector, args)
+    return run(lambda: [Detector()], args)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from regnet_msgs.action import ExecuteGrasp
 from regnet_msgs.msg import GraspArray, SelectedGrasp
 
 from regnet_core.grasps import Grasps
+from regnet_ros.spinning import DestroyableActionClient
 
 ACTION = "execute_grasp"
 OUTDATED = "outdated"
@@ -31,24 +31,6 @@ class Candidates(NamedTuple):
     message: GraspArray
     grasps: Grasps
     """Those of the message, in the same order."""
-
-
-class _Client(ActionClient):
-    """One that may be destroyed while another thread spins its node.
-
-    An executor that had already listed it asks it to join its wait. rclpy's own says then that a pointer is invalid,
-    which nobody can tell from a defect (https://github.com/ros2/rclpy/issues/1284); subscriptions, clients and events
-    raise what this one raises.
-    """
-
-    def add_to_wait_set(self, wait_set: Any) -> None:
-        """Join what an executor waits for (rclpy's method).
-
-        Raises:
-            InvalidHandle: it has been destroyed.
-        """
-        with self:
-            super().add_to_wait_set(wait_set)
 
 
 class Execution:
@@ -75,7 +57,7 @@ class Execution:
         """
         self._logger = node.get_logger()
         self._name = node.resolve_service_name(ACTION)
-        self._client = _Client(node, ExecuteGrasp, ACTION, callback_group=group)
+        self._client = DestroyableActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
         self._permitted, self._choose, self._settled, self._given_up = permitted, choose, settled, given_up
         self._lock = threading.RLock()
         self._run = 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import TransformStamped
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from regnet_msgs.action import ExecuteGrasp
@@ -26,6 +26,7 @@ from regnet_ros.inputs import LATCHED_QOS
 from regnet_ros.node import GraspNode
 from regnet_ros.process import run
 from regnet_ros.settings import ExecutorParameters
+from regnet_ros.spinning import DestroyableActionServer
 
 if TYPE_CHECKING:
     from regnet_core.robots.cell import PickResult, WorkCell
@@ -66,7 +67,7 @@ class Executor(GraspNode[ExecutorParameters]):
         self._points = self.add_publisher(PointCloud2, "points")
         self._joints = self.add_publisher(JointState, "joint_states")
         self._announce_camera(cell)
-        server = ActionServer(
+        server = DestroyableActionServer(
             self, ExecuteGrasp, ACTION,
             execute_callback=self._execute, goal_callback=self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT, callback_group=ReentrantCallbackGroup(),
@@ -283,7 +284,7 @@ class _Pace:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the exit code of the process."""
-    return run(Executor, args)
+    return run(lambda: [Executor()], args)
 
 
 if __name__ == "__main__":

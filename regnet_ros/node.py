@@ -148,7 +148,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     def add_input(self, kind: type, topic: str, reliability: str) -> SensorInput:
         """A subscription whose newest message is worked on, until cleanup."""
-        subscription = SensorInput(self, kind, topic, self._guarded(self._receive), self.input_group, reliability)
+        subscription = SensorInput(self, kind, topic, self._guarded(self.receive), self.input_group, reliability)
         self._inputs.append(subscription)
         self._undo.append(lambda: self._inputs.remove(subscription))
         self._undo.append(subscription.destroy)
@@ -227,7 +227,8 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
 
     # -- input and work ------------------------------------------------------------------------------------------
 
-    def _receive(self, message: Any) -> None:
+    def receive(self, message: Any) -> None:
+        """Have an input worked on, unless a newer one comes before its turn or the node is not active."""
         if not self._active:
             return
         self.health.received()

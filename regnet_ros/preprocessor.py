@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import sys
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from builtin_interfaces.msg import Duration
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -20,7 +22,7 @@ from regnet_core.report import StepRecorder, StepReport
 from regnet_ros.conversions import cloud_from_message, cloud_to_message
 from regnet_ros.frames import SensorFrames
 from regnet_ros.inputs import LATCHED_QOS, NEXT_CLOUD, OUTPUT_QOS
-from regnet_ros.node import GraspNode
+from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Pace
 from regnet_ros.process import run
 from regnet_ros.settings import PreprocessorParameters
@@ -29,6 +31,20 @@ from regnet_ros.visuals import plane_marker
 ZERO_STAMP = (
     "the cloud's stamp is zero: its results cannot be matched with transforms or other data; set it in the driver"
 )
+
+Taker = Callable[["PreparedCloud"], None]
+
+
+class PreparedCloud(NamedTuple):
+    """What the preprocessor makes of a cloud."""
+
+    header: Header
+    """Its frame is gravity-aligned, z up."""
+    points: npt.NDArray[np.float32]
+    """(N, 3), finite [m]."""
+    colors: npt.NDArray[np.uint8] | None
+    """(N, 3)."""
+
 
 _UNHEARD_PLANE = 1.0
 """Where nobody listens, the plane that who comes later is to get is renewed so often [s]."""
@@ -40,7 +56,12 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
     table = PreprocessorParameters
 
     def __init__(self, **kwargs: Any) -> None:
+        self._taker: Taker | None = None
         super().__init__("preprocessor", awaits="clouds on the topic 'points'", **kwargs)
+
+    def hand_to(self, taker: Taker | None) -> None:
+        """Give clouds to a node of this process as they are, without a message; None: to nobody any more."""
+        self._taker = taker
 
     def configure(self) -> None:
         """Create the topics."""
@@ -59,12 +80,16 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def pause(self) -> float:
         """Let the next cloud, the newest by then, be ready when a detector asks for it."""
-        if not self.settings.keep_pace or self.count_publishers(self._asking) == 0:
+        if not self.settings.keep_pace or (self._taker is None and self.count_publishers(self._asking) == 0):
             return 0.0
         return self._pace.pause(time.monotonic())
 
+    def want(self, seconds: float) -> None:
+        """Have a cloud ready in so many seconds."""
+        self._pace.wanted(time.monotonic() + seconds)
+
     def _on_request(self, message: Duration) -> None:
-        self._pace.wanted(time.monotonic() + message.sec + 1e-9 * message.nanosec)
+        self.want(message.sec + 1e-9 * message.nanosec)
 
     def work(self, item: PointCloud2) -> None:
         """Prepare one cloud."""
@@ -86,7 +111,12 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
             result = preprocess(decoded.points, decoded.colors, T_target_cloud, settings.config)
         prepared = time.perf_counter()
         header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
-        self._cloud.publish(cloud_to_message(header, result.points, result.colors))
+        cloud = PreparedCloud(header, result.points.astype(np.float32), result.colors)
+        if self._taker is None:
+            self._cloud.publish(cloud_to_message(*cloud))
+        else:
+            self._taker(cloud)
+            publish_if_heard(self._cloud, lambda: cloud_to_message(*cloud))
         self._pace.sent(time.monotonic())
         published = time.perf_counter()
         stages = {
@@ -123,7 +153,7 @@ def _support_plane(points: Array, seed: int) -> tuple[Plane | None, StepReport]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the exit code of the process."""
-    return run(Preprocessor, args)
+    return run(lambda: [Preprocessor()], args)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Running one node as a process: signals, exit codes, threads."""
+"""Running nodes as a process: signals, exit codes, threads."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
@@ -21,13 +22,14 @@ from regnet_ros.spinning import NodeExecutor
 from regnet_ros.transport import make_room_for_clouds
 
 _THREADS = 8
-"""One for each callback group; idle ones cost nothing."""
+"""Of a node: one for each callback group; idle ones cost nothing."""
+Node = GraspNode[Any]
 _PATIENCE = 3.0
 """How long a running computation may go on after a signal [s]; launch kills after 5 s."""
 
 
-def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -> int:
-    """Run a node until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
+def run(make_nodes: Callable[[], Sequence[Node]], args: Sequence[str] | None = None) -> int:
+    """Run nodes until SIGINT, SIGTERM or a shutdown of the context; the exit code: 0, or 2 where it cannot start."""
     keep_freed_memory()
     make_room_for_clouds()
     unknown = _own_arguments(args)
@@ -45,15 +47,16 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
             f"{error}\nIn a list parameter write every number with a decimal point: [0.0, 1.0], not [0, 1.0]"
         )
     try:
-        node = make_node()
+        nodes = make_nodes()
     except (InvalidInputError, ParameterException) as error:
         rclpy.try_shutdown()
         return _refuse(str(error))
     if not stops:
-        spin(node)
-    finished = node.wait_until_idle(_PATIENCE / 2)
-    with contextlib.suppress(RCLError, InvalidHandle):
-        node.destroy_node()
+        spin(nodes)
+    finished = all([node.wait_until_idle(_PATIENCE / 2) for node in nodes])
+    for node in reversed(nodes):
+        with contextlib.suppress(RCLError, InvalidHandle):
+            node.destroy_node()
     rclpy.try_shutdown()
     if not finished:  # a computation hangs on to its thread, and Python would wait for it
         sys.stdout.flush()
@@ -62,11 +65,13 @@ def run(make_node: Callable[[], GraspNode], args: Sequence[str] | None = None) -
     return 0
 
 
-def spin(node: GraspNode) -> None:
-    """Run the callbacks of a node until its context shuts down; no exception gets out."""
-    executor = NodeExecutor(_THREADS, context=node.context)
-    executor.add_node(node)
-    while node.context.ok():
+def spin(nodes: Sequence[Node]) -> None:
+    """Run the callbacks of nodes until their context shuts down; no exception gets out."""
+    context = nodes[0].context
+    executor = NodeExecutor(_THREADS * len(nodes), context=context)
+    for node in nodes:
+        executor.add_node(node)
+    while context.ok():
         try:
             executor.spin_once()
         except ExternalShutdownException:
@@ -74,7 +79,7 @@ def spin(node: GraspNode) -> None:
         except InvalidHandle:  # an entity was destroyed by a cleanup while the executor looked at it
             continue
         except Exception as error:
-            node.crash(error, "in the executor")
+            nodes[0].crash(error, "in the executor")
     executor.settle(_PATIENCE / 3)
     with contextlib.suppress(RCLError, InvalidHandle):
         executor.shutdown(timeout_sec=0.0)

@@ -184,7 +184,7 @@ def _candidates(message: GraspArray) -> Candidates:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the exit code of the process."""
-    return run(Selector, args)
+    return run(lambda: [Selector()], args)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Running the callbacks of a node: the quick ones at once, the others in threads."""
+"""Running the callbacks of nodes: the quick ones at once, the others in threads."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import threading
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
+from rclpy.action import ActionClient, ActionServer
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import Executor, ShutdownException, TimeoutException
@@ -18,6 +19,32 @@ class QuickCallbackGroup(MutuallyExclusiveCallbackGroup):
     """Callbacks that leave their work to others: they are called by the thread that spins."""
 
 
+class _Destroyable:
+    """Of an action's client or server, which may be destroyed while another thread spins its node.
+
+    An executor that had already listed it asks it to join its wait. rclpy's own say then that a pointer is invalid,
+    which nobody can tell from a defect (https://github.com/ros2/rclpy/issues/1284); subscriptions, services and events
+    raise what these raise.
+    """
+
+    def add_to_wait_set(self, wait_set: Any) -> None:
+        """Join what an executor waits for (rclpy's method).
+
+        Raises:
+            InvalidHandle: it has been destroyed.
+        """
+        with self:  # type: ignore[attr-defined]
+            super().add_to_wait_set(wait_set)  # type: ignore[misc]
+
+
+class DestroyableActionClient(_Destroyable, ActionClient):
+    """rclpy's client of an action."""
+
+
+class DestroyableActionServer(_Destroyable, ActionServer):
+    """rclpy's server of an action."""
+
+
 class NodeExecutor(Executor):
     """Quick callbacks run in the thread that spins, the others in a pool.
 
@@ -28,7 +55,7 @@ class NodeExecutor(Executor):
     def __init__(self, threads: int, *, context: Context | None = None) -> None:
         """Args:
         threads: so many callbacks that are not quick can run at a time.
-        context: that of the node.
+        context: that of the nodes.
         """
         super().__init__(context=context)
         self._pool = ThreadPoolExecutor(threads)

@@ -24,6 +24,8 @@ from benchmarks.workers import Worker
 from regnet_core.geometry import Array
 
 NODES = ("preprocessor", "detector", "selector")
+PROGRAMS = ("pipeline", "selector")
+"""Which the nodes run in."""
 NAMESPACE = "/regnet_benchmark"
 _DOMAIN = 101
 """The last one whose ports no operating system gives to others."""
@@ -154,13 +156,12 @@ class NodeSystem:
             BenchmarkError: a node does not start.
         """
         self._environment = environment
-        own = {
-            "preprocessor": ["-p", "max_rate:=0.0", "-p", f"sensor_pose:={_pose(T_world_camera)}"],
-            "detector": ["-p", f"model:={model}", "-p", f"threads:={threads}", "-p", f"gripper_width:={width}"],
-        }
+        pose = _pose(T_world_camera)
+        own = ["max_rate:=0.0", f"sensor_pose:={pose}", f"model:={model}"]
+        own += [f"threads:={threads}", f"gripper_width:={width}"]
+        given = [word for parameter in own for word in ("-p", parameter)]
         self.nodes = {
-            name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *own.get(name, [])]))
-            for name in NODES
+            name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *given])) for name in PROGRAMS
         }
         settings = {"namespace": NAMESPACE, "nodes": list(NODES)}
         self.receiver = stack.enter_context(Worker("receiver", 1, settings, environment))

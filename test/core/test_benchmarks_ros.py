@@ -88,5 +88,5 @@ def test_a_replayed_bag_gives_grasps_a_second() -> None:
     settings = ThroughputSettings("antipodal", BAG, offered=4.0, seconds=4.0, threads=1, warm_up=0.5)
     record = measure_throughput(settings, quiet)
     assert 0.0 < record.sustained < 8.0
-    assert {use.node for use in record.nodes} == {"preprocessor", "detector", "selector"}
+    assert {use.node for use in record.nodes} == {"pipeline", "selector"}
     assert all(use.peak >= use.resident > 10**7 and use.cores >= 0.0 for use in record.nodes)

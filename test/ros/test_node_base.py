@@ -68,7 +68,7 @@ class Running:
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self.node = MadeUp(context=self._context)
-        self._thread = threading.Thread(target=spin, args=(self.node,))
+        self._thread = threading.Thread(target=spin, args=([self.node],))
         self._thread.start()
         self.peer = Peer(domain)
         self.echoes = self.peer.listen(String, "echoes")
