@@ -6,7 +6,7 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Generic, ParamSpec
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -56,12 +56,13 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     table: ClassVar[type]
     """The parameters: a frozen dataclass derived from ``NodeParameters``."""
 
-    def __init__(self, name: str, *, awaits: str, **kwargs: Any) -> None:
+    def __init__(self, name: str, *, awaits: str, beside: Sequence[type] = (), **kwargs: Any) -> None:
         """Declare the parameters, then start up by itself unless ``autostart`` is false.
 
         Args:
             name: name of the node unless remapped.
             awaits: what the node needs to have something to do, for the diagnostics.
+            beside: tables of other nodes of the process: command lines set parameters for all of them.
             kwargs: of ``rclpy.node.Node``.
 
         Raises:
@@ -69,7 +70,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         """
         Node.__init__(self, name, **kwargs)
         self._store: ParameterStore[Table] | None = None
-        self._store = ParameterStore(self, self.table)
+        self._store = ParameterStore(self, self.table, beside)
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         self._transition_lock = threading.Lock()
         self._active = False

@@ -159,8 +159,13 @@ def descriptor(table: type[NodeParameters], name: str) -> ParameterDescriptor:
 class ParameterStore(Generic[Table]):
     """The parameters of one node."""
 
-    def __init__(self, node: Node, table: type[Table]) -> None:
+    def __init__(self, node: Node, table: type[Table], beside: Sequence[type] = ()) -> None:
         """Declare every parameter of the table on the node, with the values given by file or command line.
+
+        Args:
+            node: that has them.
+            table: what they are.
+            beside: tables of other nodes, whose parameters may be given as well.
 
         Raises:
             ParameterError: a value that was given is not accepted.
@@ -177,7 +182,7 @@ class ParameterStore(Generic[Table]):
         self._current.check()
         for name in rules(table):
             self._declare(node, name)
-        self._warn_about_unknown(node, given)
+        self._warn_about_unknown(node, given, beside)
 
     @property
     def current(self) -> Table:
@@ -218,10 +223,10 @@ class ParameterStore(Generic[Table]):
         if value.value == []:
             node.set_parameters([value])
 
-    def _warn_about_unknown(self, node: Node, given: dict[str, Parameter]) -> None:
-        known = rules(self._table)
+    def _warn_about_unknown(self, node: Node, given: dict[str, Parameter], beside: Sequence[type]) -> None:
+        known, others = rules(self._table), {name for table in beside for name in rules(table)}
         for name in given:
-            if name in known or name in _OF_ROS or name.startswith("qos_overrides."):
+            if name in known or name in others or name in _OF_ROS or name.startswith("qos_overrides."):
                 continue
             node.get_logger().warning(f"there is no parameter '{name}', its value is ignored{_similar(name, known)}")
 

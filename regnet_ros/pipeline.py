@@ -12,12 +12,13 @@ import sys
 from regnet_ros.detector import Detector
 from regnet_ros.preprocessor import Preprocessor
 from regnet_ros.process import Node, run
+from regnet_ros.settings import DetectorParameters, PreprocessorParameters
 
 
 def nodes() -> list[Node]:
     """Both."""
-    preprocessor = Preprocessor()
-    return [preprocessor, Detector(preprocessor)]
+    preprocessor = Preprocessor(beside=[DetectorParameters])
+    return [preprocessor, Detector(preprocessor, beside=[PreprocessorParameters])]
 
 
 def main(args: list[str] | None = None) -> int:

@@ -151,7 +151,7 @@ class Peer:
     """A ROS node of the test's own."""
 
     def __init__(self, domain: int) -> None:
-        self._context = Context()
+        self._context, self._closed = Context(), False
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self.node = rclpy.create_node("test_peer", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -164,7 +164,7 @@ class Peer:
 
     def _spin(self) -> None:
         """Run the callbacks; a test may destroy an entity while the executor looks at it."""
-        while self._context.ok():
+        while self._context.ok() and not self._closed:
             try:
                 self._executor.spin_once()
             except (ShutdownException, ExternalShutdownException):
@@ -173,6 +173,7 @@ class Peer:
                 print(f"the peer goes on after: {error}", file=sys.stderr)
 
     def close(self) -> None:
+        self._closed = True
         self._executor.shutdown()
         self._thread.join(DEADLINE)
         self.node.destroy_node()
