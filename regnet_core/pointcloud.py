@@ -13,7 +13,7 @@ from regnet_core.geometry import Array, Box, Plane, normalised
 from regnet_core.ops.cells import cells_with_points
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
-from regnet_core.ops.rows import first_in_voxels, moved_rows, rows_in_box, valid_rows
+from regnet_core.ops.rows import chosen_rows, first_in_voxels, moved_rows, rows_in_box, valid_rows
 from regnet_core.ops.slabs import slab_counts, slab_moments
 from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
@@ -187,11 +187,17 @@ def surroundings(points: npt.NDArray[np.floating], objects: npt.NDArray[np.float
     return rows_in_box(points, lower - AROUND, upper + AROUND)
 
 
+_FEW = 0.25
+"""A smaller share of indices is drawn one by one."""
+
+
 def random_sample(count: int, size: int, rng: np.random.Generator) -> Index:
     """``size`` of ``count`` indices without repetition, ascending; all of them when there are no more."""
     if count <= size:
         return np.arange(count)
-    return np.sort(rng.choice(count, size, replace=False))
+    if size < _FEW * count:
+        return np.sort(rng.choice(count, size, replace=False))
+    return chosen_rows(rng.random(count, dtype=np.float32), size)
 
 
 def neighbourhood_radius(

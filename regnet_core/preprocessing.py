@@ -10,6 +10,7 @@ import numpy.typing as npt
 from regnet_core.checks import as_transform, is_number, is_whole, shown
 from regnet_core.errors import CloudError, InvalidInputError
 from regnet_core.geometry import Array, Box
+from regnet_core.ops.rows import taken
 from regnet_core.pointcloud import Index, place_points, random_sample, voxel_downsample
 from regnet_core.report import StepRecorder, StepReport
 
@@ -90,7 +91,7 @@ def preprocess(
         kept = _thinned(placed.points, config, rng)
         step.kept, step.rejected = len(kept), len(placed.points) - len(kept)
     chosen = None if colors is None else np.asarray(colors)[placed.rows[kept]]
-    return Preprocessed(placed.points[kept], chosen, tuple(recorder.steps), _reason(recorder.steps, config))
+    return Preprocessed(taken(placed.points, kept), chosen, tuple(recorder.steps), _reason(recorder.steps, config))
 
 
 def _thinned(points: Array, config: PreprocessingConfig, rng: np.random.Generator) -> Index:

@@ -68,6 +68,21 @@ def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     return rows[: _first(points, low, size, shape.astype(np.int64), table, rows)]
 
 
+def chosen_rows(draws: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.int64]:
+    """``size`` of N rows, ascending, each set of them as likely as any other.
+
+    Each row is taken with the chance of what is still wanted among what is still to come (selection sampling, Knuth,
+    "The Art of Computer Programming", vol. 2, algorithm S).
+
+    Args:
+        draws: (N,) random numbers in [0, 1).
+        size: at most N.
+    """
+    rows = np.empty(size + 1, np.int64)
+    _choose(draws, size, rows)
+    return rows[:size]
+
+
 def taken(points: Array, rows: npt.NDArray[np.int64]) -> Array:
     """(K, 3): rows (K,) of points (N, 3); several times faster than indexing."""
     result = np.empty((len(rows), 3))
@@ -80,6 +95,16 @@ def _take(points, rows, result):  # type: ignore[no-untyped-def]
     for i in range(len(rows)):
         row = rows[i]
         result[i, 0], result[i, 1], result[i, 2] = points[row, 0], points[row, 1], points[row, 2]
+
+
+@compiled
+def _choose(draws, size, rows):  # type: ignore[no-untyped-def]
+    n, left = 0, len(draws)
+    for p in range(len(draws)):
+        # Without a branch: written over by the next one where it is not taken.
+        rows[n] = p
+        n += draws[p] * left < size - n
+        left -= 1
 
 
 @compiled

@@ -77,6 +77,13 @@ def test_random_sample_is_without_repetition_and_reproducible() -> None:
     a, b = (random_sample(1000, 100, np.random.default_rng(4)) for _ in range(2))
     assert np.array_equal(a, b)
     assert len(np.unique(a)) == 100
+    for size in (0, 240, 251, 600, 999):  # few, and many
+        rows = random_sample(1000, size, np.random.default_rng(1))
+        assert len(rows) == size and (np.diff(rows) > 0).all() and (size == 0 or 0 <= rows[0] <= rows[-1] < 1000)
+    rng, counts = np.random.default_rng(2), np.zeros(40)
+    for _ in range(4000):
+        counts[random_sample(40, 15, rng)] += 1
+    assert np.abs(counts - 1500).max() < 4.5 * np.sqrt(4000 * (15 / 40) * (25 / 40))
     assert random_sample(5, 10, np.random.default_rng(0)).tolist() == [0, 1, 2, 3, 4]
 
 
