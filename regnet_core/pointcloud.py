@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.errors import CloudError
-from regnet_core.geometry import Array, Box, Plane, normalised
+from regnet_core.geometry import Array, Box, Plane
 from regnet_core.ops.cells import cells_with_points
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import chosen_rows, first_in_voxels, moved_rows, rows_in_box, valid_rows
-from regnet_core.ops.slabs import slab_counts, slab_moments
+from regnet_core.ops.slabs import fitted_plane, planes_of_triples, slab_counts
 from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
 
@@ -319,15 +319,11 @@ def _best_plane(points: Array, rng: np.random.Generator, max_tilt: float, tolera
     step = np.round(rng.uniform(-1, 1, (400, 2)) * reach[:, None]).astype(np.int64)
     others = (first[:, None] + step).clip(0, count - 1)
     a, b, c = points[first], points[others[:, 0]], points[others[:, 1]]
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1)
-    usable = (length > 1e-5) & (np.abs(normal[:, 2]) > math.cos(max_tilt) * length)
-    if not usable.any():
+    planes = planes_of_triples(a, b, c, math.cos(max_tilt), 1e-5)
+    if len(planes.offsets) == 0:
         return None
-    normal, a = normalised(normal[usable]) * np.sign(normal[usable, 2:]), a[usable]
-    offset = np.sum(normal * a, axis=1)
-    best = int(np.argmax(slab_counts(points, normal, offset, tolerance)))
-    return Plane((float(normal[best, 0]), float(normal[best, 1]), float(normal[best, 2])), float(offset[best]))
+    best = int(np.argmax(slab_counts(points, planes.normals, planes.offsets, tolerance)))
+    return _plane(planes.normals[best], float(planes.offsets[best]))
 
 
 def _is_flat(height: Array, tolerance: float) -> bool:
@@ -343,13 +339,8 @@ def _area(points: Array, cell: float = 0.03) -> float:
 
 def _refined(points: Array, plane: Plane, tolerance: float) -> Plane:
     """Least squares on the inliers, a few times or until there are as many as before."""
-    before = None
-    for _ in range(4):
-        inliers = slab_moments(points, np.asarray(plane.normal), plane.offset, tolerance)
-        if inliers.points < 10 or inliers.points == before:
-            break
-        before = inliers.points
-        normal = np.linalg.eigh(inliers.covariance)[1][:, 0]
-        normal = normal * np.sign(normal[2])
-        plane = Plane((float(normal[0]), float(normal[1]), float(normal[2])), float(normal @ inliers.mean))
-    return plane
+    return _plane(*fitted_plane(points, np.asarray(plane.normal), plane.offset, tolerance, rounds=4))
+
+
+def _plane(normal: Array, offset: float) -> Plane:
+    return Plane((float(normal[0]), float(normal[1]), float(normal[2])), offset)

@@ -1,4 +1,4 @@
-"""The points in a slab about a plane: how many they are, and the moments that a better plane follows from."""
+"""The points in a slab about a plane: how many they are, and the better plane that follows from them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from regnet_core.ops.compiled import compiled, compiled_with_any_order
 from regnet_core.ops.parallel import for_each_range
 
 
-class SlabMoments(NamedTuple):
-    """Of the points in one slab."""
+class Planes(NamedTuple):
+    """normal . x = offset, each."""
 
-    points: int
-    """How many there are."""
-    mean: Array
-    """(3,) [m]; meaningless without points."""
-    covariance: Array
-    """(3, 3) [m2], divided by their number."""
+    normals: Array
+    """(P, 3) of length 1."""
+    offsets: Array
+    """(P,) [m]."""
 
 
 def slab_counts(points: Array, normals: Array, offsets: Array, tolerance: float) -> npt.NDArray[np.int64]:
@@ -35,14 +33,28 @@ def slab_counts(points: Array, normals: Array, offsets: Array, tolerance: float)
     return counts
 
 
-def slab_moments(points: Array, normal: Array, offset: float, tolerance: float) -> SlabMoments:
-    """Moments of the points (N, 3) nearer than ``tolerance`` [m] to the plane ``normal @ x = offset``."""
-    sums = _sums(points, normal[0], normal[1], normal[2], offset, tolerance)
-    scaled = sums / max(sums[0], 1.0)
-    near = offset * normal  # sums are taken from here: what is squared stays small
-    shift, (xx, xy, xz, yy, yz, zz) = scaled[1:4], scaled[4:]
-    square = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return SlabMoments(int(sums[0]), near + shift, square - np.outer(shift, shift))
+def fitted_plane(points: Array, normal: Array, offset: float, tolerance: float, rounds: int) -> tuple[Array, float]:
+    """Least squares on the points (N, 3) nearer than ``tolerance`` [m] to a plane -> a better plane, normal upwards.
+
+    Repeated at most ``rounds`` times, until as many points are near as before, or fewer than 10.
+    """
+    normal, offset = _fitted(np.ascontiguousarray(points), np.asarray(normal, np.float64), offset, tolerance, rounds)
+    return normal, float(offset)
+
+
+def planes_of_triples(a: Array, b: Array, c: Array, least_cosine: float, shortest: float) -> Planes:
+    """Planes through triples of points (T, 3), normals upwards; those not steeper than allowed -> P of T.
+
+    Args:
+        a: first points [m].
+        b: second points [m].
+        c: third points [m].
+        least_cosine: of the angle between a normal and z.
+        shortest: length of the cross product below which three points are in a line [m2].
+    """
+    normals, offsets = np.empty((len(a), 3)), np.empty(len(a))
+    count = _through(a, b, c, least_cosine, shortest, normals, offsets)
+    return Planes(normals[:count], offsets[:count])
 
 
 @compiled
@@ -74,3 +86,46 @@ def _sums(points, a, b, c, d, tolerance):  # type: ignore[no-untyped-def]
         syz += y * z
         szz += z * z
     return np.array([n, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz])
+
+
+@compiled
+def _fitted(points, normal, offset, tolerance, rounds):  # type: ignore[no-untyped-def]
+    before = -1.0
+    covariance = np.empty((3, 3))
+    for _ in range(rounds):
+        sums = _sums(points, normal[0], normal[1], normal[2], offset, tolerance)
+        if sums[0] < 10.0 or sums[0] == before:
+            break
+        before = sums[0]
+        # Sums are taken from the plane's point nearest to the origin: what is squared stays small.
+        shift = sums[1:4] / before
+        for i in range(3):
+            for j in range(3):
+                low, high = min(i, j), max(i, j)
+                covariance[i, j] = sums[4 + low * (5 - low) // 2 + high] / before - shift[i] * shift[j]
+        axis = np.linalg.eigh(covariance)[1][:, 0]
+        if axis[2] < 0.0:
+            axis = -axis
+        elif axis[2] == 0.0:
+            break
+        near = offset * normal + shift
+        normal = axis.copy()
+        offset = normal[0] * near[0] + normal[1] * near[1] + normal[2] * near[2]
+    return normal, offset
+
+
+@compiled
+def _through(a, b, c, least_cosine, shortest, normals, offsets):  # type: ignore[no-untyped-def]
+    count = 0
+    for t in range(len(a)):
+        x0, y0, z0 = b[t, 0] - a[t, 0], b[t, 1] - a[t, 1], b[t, 2] - a[t, 2]
+        x1, y1, z1 = c[t, 0] - a[t, 0], c[t, 1] - a[t, 1], c[t, 2] - a[t, 2]
+        x, y, z = y0 * z1 - z0 * y1, z0 * x1 - x0 * z1, x0 * y1 - y0 * x1
+        length = np.sqrt(x * x + y * y + z * z)
+        if not (length > shortest and abs(z) > least_cosine * length):
+            continue
+        length = length if z > 0.0 else -length
+        normals[count, 0], normals[count, 1], normals[count, 2] = x / length, y / length, z / length
+        offsets[count] = (x * a[t, 0] + y * a[t, 1] + z * a[t, 2]) / length
+        count += 1
+    return count
