@@ -1,6 +1,7 @@
 """Starts preprocessor, detector and selector: `ros2 launch regnet_ros regnet.launch.py points:=/camera/depth/points`.
 
-Every argument but `points` may be left out: the value of the parameter file holds then.
+The first two share a process unless `apart` is true. Every argument but `points` may be left out: the value of the
+parameter file holds then.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "regnet_ros"
 NODES = ("preprocessor", "detector", "selector")
+TOGETHER = {"pipeline": ("preprocessor", "detector"), "selector": ("selector",)}
+APART = {name: (name,) for name in NODES}
+# Program -> the nodes in it.
 
 # Launch argument -> (nodes whose parameter of the same name it sets, type, description).
 PARAMETERS: dict[str, tuple[tuple[str, ...], type, str]] = {
@@ -48,6 +52,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("points", default_value="points", description="topic of the camera's PointCloud2"),
         DeclareLaunchArgument("namespace", default_value="", description="namespace of nodes and topics"),
         DeclareLaunchArgument("params_file", default_value=default_file, description="parameters of the nodes"),
+        DeclareLaunchArgument(
+            "apart", default_value="false", description="true: a process for each node; slower, easier to look into"
+        ),
         DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal"),
     ]
     for name, (_, _, description) in PARAMETERS.items():
@@ -63,30 +70,32 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    def parameters(node: str) -> list[Any]:
-        given = overrides(node, {name: value(name) for name in PARAMETERS})
+    def parameters(nodes: tuple[str, ...]) -> list[Any]:
+        given = overrides(nodes, {name: value(name) for name in PARAMETERS})
         return [value("params_file"), given] if given else [value("params_file")]
 
+    programs = APART if yaml.safe_load(value("apart")) else TOGETHER
     return [
         Node(
             package=PACKAGE,
-            executable=name,
-            name=name,
+            executable=program,
+            # A name would be that of all nodes of the process.
+            name=program if len(nodes) == 1 else None,
             namespace=value("namespace"),
-            parameters=parameters(name),
-            remappings=[("points", value("points"))] if name == "preprocessor" else [],
+            parameters=parameters(nodes),
+            remappings=[("points", value("points"))] if "preprocessor" in nodes else [],
             arguments=["--ros-args", "--log-level", value("log_level")],
             output="screen",
         )
-        for name in NODES
+        for program, nodes in programs.items()
     ]
 
 
-def overrides(node: str, texts: dict[str, str]) -> dict[str, Any]:
-    """The parameters of one node that were given on the command line, in the types that they have."""
+def overrides(nodes: tuple[str, ...], texts: dict[str, str]) -> dict[str, Any]:
+    """The parameters of some nodes that were given on the command line, in the types that they have."""
     chosen: dict[str, Any] = {}
-    for name, (nodes, kind, _) in PARAMETERS.items():
-        if node not in nodes or texts[name] == "":
+    for name, (having, kind, _) in PARAMETERS.items():
+        if set(nodes).isdisjoint(having) or texts[name] == "":
             continue
         if kind is str:
             chosen[name] = texts[name]

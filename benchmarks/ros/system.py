@@ -129,8 +129,7 @@ class NodeProcess:
 class NodeSystem:
     """Preprocessor, detector and selector with config/regnet.yaml, and the process that listens to them.
 
-    Two parameters differ from the file: the preprocessor takes clouds as fast as they come, and knows the camera's pose
-    without tf2.
+    One parameter differs from the file: the preprocessor knows the camera's pose without tf2.
     """
 
     def __init__(
@@ -157,8 +156,7 @@ class NodeSystem:
         """
         self._environment = environment
         pose = _pose(T_world_camera)
-        own = ["max_rate:=0.0", f"sensor_pose:={pose}", f"model:={model}"]
-        own += [f"threads:={threads}", f"gripper_width:={width}"]
+        own = [f"sensor_pose:={pose}", f"model:={model}", f"threads:={threads}", f"gripper_width:={width}"]
         given = [word for parameter in own for word in ("-p", parameter)]
         self.nodes = {
             name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *given])) for name in PROGRAMS

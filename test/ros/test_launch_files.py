@@ -67,17 +67,25 @@ def arguments(launch_file: ModuleType, **given: str) -> dict[str, str]:
 
 
 def test_three_nodes_are_started_from_the_parameter_file(launch_file: ModuleType) -> None:
-    nodes = launch_file.start_nodes(arguments(launch_file, points="/camera/points"))
+    nodes = launch_file.start_nodes(arguments(launch_file, points="/camera/points", apart="true"))
     assert [node.named["executable"] for node in nodes] == ["preprocessor", "detector", "selector"]
-    assert {node.named["package"] for node in nodes} == {"regnet_ros"}
     assert [node.named["name"] for node in nodes] == [node.named["executable"] for node in nodes]
+    assert nodes[0].named["remappings"] == [("points", "/camera/points")]
+
+
+def test_without_being_asked_two_of_them_share_a_process(launch_file: ModuleType) -> None:
+    nodes = launch_file.start_nodes(arguments(launch_file, points="/camera/points"))
+    assert [node.named["executable"] for node in nodes] == ["pipeline", "selector"]
+    assert [node.named["name"] for node in nodes] == [None, "selector"]
+    assert {node.named["package"] for node in nodes} == {"regnet_ros"}
     assert all(node.named["parameters"] == ["regnet.yaml"] for node in nodes)
     assert nodes[0].named["remappings"] == [("points", "/camera/points")]
     for node in nodes:
         assert importlib.util.find_spec(f"regnet_ros.{node.named['executable']}") is not None
 
 
-def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType) -> None:
+@pytest.mark.parametrize("apart", ["true", "false"])
+def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType, apart: str) -> None:
     given = {
         "target_frame": "base_link",
         "sensor_pose": "[0.4, 0, 1.2, -2.2, 0, 1.57]",
@@ -90,12 +98,15 @@ def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType) 
         "use_sim_time": "True",
     }
     found: dict[str, dict[str, Any]] = {}
-    for node in launch_file.start_nodes(arguments(launch_file, **given)):
+    for node in launch_file.start_nodes(arguments(launch_file, apart=apart, **given)):
         file, parameters = node.named["parameters"]
         assert file == "regnet.yaml"
-        name = node.named["name"]
         assert parameters.pop("use_sim_time") is True
-        found[name] = {key: checked_value(TABLES[name], key, value) for key, value in parameters.items()}
+        names = (launch_file.APART if apart == "true" else launch_file.TOGETHER)[node.named["executable"]]
+        for name in names:
+            own = {key: value for key, value in parameters.items() if name in launch_file.PARAMETERS[key][0]}
+            found[name] = {key: checked_value(TABLES[name], key, value) for key, value in own.items()}
+        assert set(parameters) == {key for name in names for key in found[name]}
     assert found["preprocessor"]["sensor_pose"] == (0.4, 0.0, 1.2, -2.2, 0.0, 1.57)
     assert found["preprocessor"]["target_frame"] == "base_link"
     model = {"model": "/run/weights.safetensors", "device": "cpu"}
