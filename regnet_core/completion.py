@@ -63,7 +63,7 @@ def fill_columns(points: Array, plane: Plane, cell: float = 0.005, smoothing: fl
         return None
     pad = 4
     height = plane.height(points)
-    lower, upper = bounds(np.ascontiguousarray(points))
+    lower, upper = bounds(points)
     spread = [*(upper - lower)[:2], height.max()]
     largest = 2.01 * cell
     while np.prod([side / cell + 2 * pad + 2 for side in spread]) > _MAX_VOXELS:

@@ -183,7 +183,7 @@ def surroundings(points: npt.NDArray[np.floating], objects: npt.NDArray[np.float
     """Rows of the points (N, 3) in and near the bounding box of the objects' (K, 3) [m]; without objects all rows."""
     if len(objects) == 0:
         return np.arange(len(points))
-    lower, upper = bounds(np.ascontiguousarray(objects))
+    lower, upper = bounds(objects)
     return rows_in_box(points, lower - AROUND, upper + AROUND)
 
 

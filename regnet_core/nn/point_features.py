@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 
 from regnet_core.nn.backbone import Backbone, Coarse
+from regnet_core.ops.neighbourhoods import newly_marked
 
 Carry = Callable[[torch.Tensor], torch.Tensor | None]
 """What the Refine Network makes of features (n, C) in its first layer -> (n, C_1); None where it does not take them."""
@@ -45,9 +46,7 @@ class PointFeatures:
         """Compute them for these points (n,), in any order, where they are not there."""
         if self._there is None:
             return
-        wanted = torch.zeros_like(self._there)
-        wanted[rows] = True
-        missing = (wanted & ~self._there).nonzero().squeeze(1)
+        missing = newly_marked(self._there, rows)
         if len(missing) == 0:
             return
         found = self._backbone.fine(self._coarse, missing)
@@ -55,7 +54,6 @@ class PointFeatures:
         if (carried := self._carry(found)) is not None:
             room = carried.new_empty((len(self.values), carried.shape[1])) if self.carried is None else self.carried
             self.carried = _put(room, missing, carried)
-        self._there |= wanted
 
 
 def _put(room: torch.Tensor, rows: torch.Tensor, found: torch.Tensor) -> torch.Tensor:

@@ -63,7 +63,7 @@ def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array
     they are; and that corner (3,)."""
     if len(points) == 0:
         return in_buckets(np.zeros((0, 3), np.float32)), np.zeros(3)
-    origin = np.asarray(bounds(np.ascontiguousarray(points))[0], np.float64)
+    origin = np.asarray(bounds(points)[0], np.float64)
     return in_buckets((points - origin).astype(np.float32)), origin
 
 

@@ -163,3 +163,22 @@ def _look(points, centres, unit, indices, offsets, begin, end, out):  # type: ig
             out[e, 0], out[e, 1], out[e, 2] = (
                 (points[row, 0] - x) / unit, (points[row, 1] - y) / unit, (points[row, 2] - z) / unit
             )  # fmt: skip
+
+
+def newly_marked(marked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    """Those of the rows (n,), in any order and as often as they like, that were not marked in (N,) bool -> (k,) int64,
+    ascending; they are marked then. On a CPU."""
+    new = np.empty(len(marked) + 1, np.int64)
+    return torch.from_numpy(new[: _mark(marked.numpy(), rows.numpy(), np.zeros(len(marked), np.bool_), new)])
+
+
+@compiled
+def _mark(marked, rows, wanted, new):  # type: ignore[no-untyped-def]
+    for i in range(len(rows)):
+        wanted[rows[i]] = True
+    n = 0
+    for row in range(len(marked)):
+        new[n] = row
+        n += wanted[row] and not marked[row]
+        marked[row] |= wanted[row]
+    return n

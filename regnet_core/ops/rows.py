@@ -13,6 +13,8 @@ from regnet_core.ops.voxel_grid import bounds
 
 _HASH = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: its multiples are spread evenly."""
+_NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
+"""The number of no voxel."""
 
 
 def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64]:
@@ -63,9 +65,11 @@ def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     shape = np.floor((high - low) / size) + 1.0
     if not float(np.prod(shape)) < 2.0**62:
         return None
-    rows = np.empty(len(points), np.int64)
-    table = np.full(1 << (2 * len(points)).bit_length(), -1, np.int64)
-    return rows[: _first(points, low, size, shape.astype(np.int64), table, rows)]
+    numbers = np.empty(len(points), np.uint64)
+    _number(points, low, size, shape, numbers)
+    rows, bits = np.empty(len(points) + 1, np.int64), max((2 * len(points) - 1).bit_length(), 1)
+    table = np.full(1 << bits, _NONE, np.uint64)
+    return rows[: _first(numbers, table, np.uint64(64 - bits), rows)]
 
 
 def chosen_rows(draws: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.int64]:
@@ -151,20 +155,29 @@ def _moved(points, transform, largest, lower, upper, moved, rows):  # type: igno
 
 
 @compiled
-def _first(points, low, size, shape, table, rows):  # type: ignore[no-untyped-def]
-    """Fill ``rows`` and say how many there are; the table (a power of two, all -1) becomes a set of voxel numbers."""
-    mask, shift = np.uint64(len(table) - 1), np.uint64(32)
-    n = 0
+def _number(points, low, size, shape, numbers):  # type: ignore[no-untyped-def]
+    x, y, z, across, deep = low[0], low[1], low[2], np.uint64(shape[1]), np.uint64(shape[2])
     for p in range(len(points)):
-        i = np.int64(np.floor((points[p, 0] - low[0]) / size))
-        j = np.int64(np.floor((points[p, 1] - low[1]) / size))
-        k = np.int64(np.floor((points[p, 2] - low[2]) / size))
-        key = (i * shape[1] + j) * shape[2] + k
-        place = ((np.uint64(key) * _HASH) >> shift) & mask
-        while table[place] != key and table[place] != -1:
+        i = np.uint64(np.int64(np.floor((points[p, 0] - x) / size)))
+        j = np.uint64(np.int64(np.floor((points[p, 1] - y) / size)))
+        k = np.uint64(np.int64(np.floor((points[p, 2] - z) / size)))
+        numbers[p] = (i * across + j) * deep + k
+
+
+@compiled
+def _first(numbers, table, shift, rows):  # type: ignore[no-untyped-def]
+    """Fill ``rows`` and say how many there are; the table (a power of two, all _NONE) becomes a set of voxels."""
+    mask = np.uint64(len(table) - 1)
+    n = 0
+    for p in range(len(numbers)):
+        number = numbers[p]
+        place = (number * _HASH) >> shift
+        there = table[place]
+        while there != _NONE and there != number:
             place = (place + np.uint64(1)) & mask
-        if table[place] == -1:
-            table[place] = key
-            rows[n] = p
-            n += 1
+            there = table[place]
+        table[place] = number
+        # Without a branch: written over by the next one where the voxel is known.
+        rows[n] = p
+        n += there == _NONE
     return n

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,11 +49,30 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
     return VoxelGrid(ordered, order, start, origin, shape, float(cell))
 
 
-@compiled
-def bounds(points):  # type: ignore[no-untyped-def]
+_TOGETHER = 16
+"""Points that are looked at together for their bounds."""
+
+
+def bounds(points: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """The lower and the upper corner (3,) of the points' (N, 3) bounding box, N > 0; in the points' own type."""
+    return _bounds(np.ascontiguousarray(points))  # type: ignore[no-any-return]
+
+
+@compiled
+def _bounds(points):  # type: ignore[no-untyped-def]
     low, high = points[0].copy(), points[0].copy()
-    for p in range(1, len(points)):
+    whole = len(points) // _TOGETHER
+    if whole > 0:  # of several points at a time, each with its own bounds
+        least, most = points[:_TOGETHER].copy().reshape(-1), points[:_TOGETHER].copy().reshape(-1)
+        for block in range(1, whole):
+            some = points[block * _TOGETHER : (block + 1) * _TOGETHER].reshape(-1)
+            for q in range(3 * _TOGETHER):
+                value, below, above = some[q], least[q], most[q]
+                least[q] = value if value < below else below
+                most[q] = value if value > above else above
+        for q in range(3 * _TOGETHER):
+            low[q % 3], high[q % 3] = min(low[q % 3], least[q]), max(high[q % 3], most[q])
+    for p in range(whole * _TOGETHER, len(points)):
         for a in range(3):
             low[a] = min(low[a], points[p, a])
             high[a] = max(high[a], points[p, a])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
@@ -11,8 +12,10 @@ from regnet_core.ops.cells import cells_below, cells_with_points, highest, mark_
 from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.nearby import kth_distance, near_any
+from regnet_core.ops.neighbourhoods import newly_marked
 from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 from regnet_core.ops.rows import first_in_voxels, rows_in_box, valid_rows
+from regnet_core.ops.voxel_grid import bounds
 from regnet_core.pointcloud import voxel_downsample
 
 RNG = np.random.default_rng(7)
@@ -179,6 +182,23 @@ def test_a_convex_outline_is_the_hull() -> None:
         np.testing.assert_allclose(own[np.argsort(own[:, 0])], hull[np.argsort(hull[:, 0])], atol=1e-6)
     for points in (np.stack([np.arange(9.0)] * 2, axis=1), np.ones((5, 3)), np.ones((1, 2)), np.eye(2)):
         assert convex_outline(points).shape == (0, 3)
+
+
+def test_rows_that_are_marked_for_the_first_time() -> None:
+    marked = torch.tensor([True, False, False, True, False])
+    assert newly_marked(marked, torch.tensor([4, 0, 1, 4])).tolist() == [1, 4]
+    assert marked.tolist() == [True, True, False, True, True]
+    assert newly_marked(marked, torch.tensor([4, 1])).tolist() == []
+    assert newly_marked(marked, torch.tensor([2, 3, 2])).tolist() == [2] and marked.all()
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 50])
+def test_bounds(count: int) -> None:
+    points = RNG.normal(size=(3, count)).astype(np.float32).T  # its columns are contiguous, not its rows
+    lower, upper = bounds(points)
+    assert lower.dtype == np.float32
+    np.testing.assert_array_equal(lower, points.min(axis=0))
+    np.testing.assert_array_equal(upper, points.max(axis=0))
 
 
 def test_rows_in_a_box() -> None:
