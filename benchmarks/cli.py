@@ -74,6 +74,7 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     add("--ros-clouds", type=int, default=50, help="how often it is published")
     add("--ros-bag", type=Path, default=Path("bags/tilted_depth_only"), help="to be replayed (default: %(default)s)")
     add("--ros-seconds", type=float, default=20.0, help="for how long")
+    add("--at-a-time", nargs="+", type=int, default=[1, 2], help="clouds that the detector node works on at a time")
     add("--offered", type=float, default=20.0, help="clouds a second of the replayed bag")
     add("--detections", type=int, default=10_000, help="for the memory")
     add("--node-detections", type=int, default=0, help="for the memory of the nodes, from the replayed bag; 0: none")
@@ -180,14 +181,16 @@ def _measure_ros(options: argparse.Namespace, document: Document) -> Document:
             latencies.append(
                 measure_latency(LatencySettings(model, options.ros_cloud, clouds=options.ros_clouds, **common), _say)
             )
-            throughputs.append(
-                measure_throughput(
-                    ThroughputSettings(
-                        model, options.ros_bag.resolve(), options.offered, options.ros_seconds, **common
-                    ),
-                    _say,
+            for at_a_time in options.at_a_time:
+                settings = ThroughputSettings(
+                    model,
+                    options.ros_bag.resolve(),
+                    options.offered,
+                    options.ros_seconds,
+                    at_a_time=at_a_time,
+                    **common,
                 )
-            )
+                throughputs.append(measure_throughput(settings, _say))
     others = max([*(item.others for item in latencies), *(item.others for item in throughputs)])
     warnings = document.warnings
     if others >= QUIET:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from benchmarks.records import Document, RunRecord
+from benchmarks.records import Document, RunRecord, ThroughputRecord
 from benchmarks.summary import Summary
 from benchmarks.tables import markdown
 from regnet_core.checks import check_range
@@ -147,10 +147,15 @@ def _ros(before: Document, after: Document) -> Iterator[Change]:
             yield from _times(f"{words}: publication to arrival", old.total, new.total, headline=True)
             yield from _times(f"{words}: all but the model", old.outside, new.outside, headline=True)
             yield from _times(f"{words}: transport", old.transport, new.transport)
-    rates = {(item.model, item.weights, item.threads, item.bag, item.offered): item for item in after.throughputs}
+    rates = {_flow(item): item for item in after.throughputs}
     for flow in before.throughputs:
-        other = rates.get((flow.model, flow.weights, flow.threads, flow.bag, flow.offered))
+        other = rates.get(_flow(flow))
         if other is not None:
-            words = f"{flow.model}, {flow.threads} threads, {flow.bag}: grasps a second"
+            words = f"{flow.model}, {flow.threads} threads, {flow.at_a_time} at a time, {flow.bag}: grasps a second"
             old_rate, new_rate = (Summary.of([value]) for value in (flow.sustained, other.sustained))
             yield Change(words, old_rate, new_rate, "1/s", 1.0, False, True)
+
+
+def _flow(item: ThroughputRecord) -> tuple[object, ...]:
+    """What makes two rates comparable."""
+    return item.model, item.weights, item.threads, item.at_a_time, item.bag, item.offered

@@ -5,6 +5,7 @@ Times are seconds, sizes bytes, rates per second, unless a field says otherwise.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -206,6 +207,10 @@ class ThroughputRecord:
     nodes: tuple[NodeUse, ...]
     others: float
     """Cores that processes other than ours kept busy meanwhile."""
+    at_a_time: int = 1
+    """Clouds that the detector works on at a time."""
+    detection: float = math.nan
+    """Median of what each GraspArray says that its detection took [s]."""
 
 
 @dataclass(frozen=True)

@@ -212,11 +212,14 @@ def _latencies(latencies: Sequence[LatencyRecord]) -> str:
 
 
 def _throughputs(throughputs: Sequence[ThroughputRecord]) -> str:
-    header = ["replayed", "threads", "bag", "offered [1/s]", "received [1/s]", "grasps [1/s]", "cores", "memory [MB]"]
+    header = [
+        "replayed", "threads", "at a time", "bag", "offered [1/s]", "received [1/s]", "grasps [1/s]", "detection [ms]",
+        "cores", "memory [MB]",
+    ]  # fmt: skip
     rows = [
         [
-            _weighted(item.model, item.weights), str(item.threads), item.bag, f"{item.offered:.1f}",
-            f"{item.received:.1f}", f"{item.sustained:.1f}",
+            _weighted(item.model, item.weights), str(item.threads), str(item.at_a_time), item.bag,
+            f"{item.offered:.1f}", f"{item.received:.1f}", f"{item.sustained:.1f}", f"{item.detection * 1e3:.1f}",
             ", ".join(f"{node.node} {node.cores:.2f}" for node in item.nodes),
             ", ".join(f"{node.node} {node.peak / 1e6:.0f}" for node in item.nodes),
         ]

@@ -34,7 +34,7 @@ from regnet_ros.pace import Lead, Usual
 from regnet_ros.preprocessor import PreparedCloud, Preprocessor
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
-from regnet_ros.threads import usable_cores, use_threads
+from regnet_ros.threads import use_threads
 from regnet_ros.visuals import grasp_markers
 from regnet_ros.warm_up import made_up_cloud
 
@@ -69,7 +69,7 @@ class Detector(GraspNode[DetectorParameters]):
 
     def at_a_time(self) -> int:
         """As many as the parameters say."""
-        return self.settings.at_a_time or min(self.settings.threads or usable_cores(), 2)
+        return self.settings.at_a_time
 
     def configure(self) -> None:
         """Make the detector ready to run, then create the topics and the service."""

@@ -161,10 +161,10 @@ class DetectorParameters(SensorParameters):
         read_only=True,
     )
     at_a_time: int = parameter(
-        0,
-        "Clouds worked on at a time, at most, each by its share of the threads: more clouds in a second, each a little "
-        "later. 0: 2 where there are 2 threads, else 1.",
-        limits=(0, 16),
+        1,
+        "Clouds worked on at a time, at most, each by its share of the threads: with more than 1 there are more arrays "
+        "in a second, and each comes later.",
+        limits=(1, 16),
         read_only=True,
     )
     seed: int = parameter(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from statistics import median
 from typing import Any, NamedTuple
 
 import rclpy
@@ -75,7 +76,8 @@ class ReceiverTask:
                 self._news.wait(left)
 
     def watch(self, seconds: float) -> dict[str, Any]:
-        """How many GraspArrays arrive in so many seconds, and from the first to the last of them [s]."""
+        """How many GraspArrays arrive in so many seconds, the time from the first to the last of them [s], and the
+        median of what they say that their detections took [s]."""
         with self._news:
             self._arrivals.clear()
         end = time.monotonic() + seconds
@@ -83,9 +85,10 @@ class ReceiverTask:
             while (left := end - time.monotonic()) > 0.0:
                 self._news.wait(left)
             times = [arrival.time_ns for arrival in self._arrivals]
+            detections = [arrival.message.total_seconds for arrival in self._arrivals]
             total = self._count
         span = (times[-1] - times[0]) / 1e9 if times else 0.0
-        return {"count": len(times), "span": span, "total": total}
+        return {"count": len(times), "span": span, "total": total, "detection": median(detections or [0.0])}
 
     def diagnostics(self) -> dict[str, Any]:
         """What the nodes have said since this was last asked."""

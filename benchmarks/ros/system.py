@@ -140,6 +140,7 @@ class NodeSystem:
         threads: int,
         width: float,
         T_world_camera: Array,
+        at_a_time: int = 1,
     ) -> None:
         """Start everything and wait until all nodes are active.
 
@@ -150,6 +151,7 @@ class NodeSystem:
             threads: the detector's parameter.
             width: of the gripper [m].
             T_world_camera: the camera's pose (4, 4).
+            at_a_time: the detector's parameter.
 
         Raises:
             BenchmarkError: a node does not start.
@@ -157,6 +159,7 @@ class NodeSystem:
         self._environment = environment
         pose = _pose(T_world_camera)
         own = [f"sensor_pose:={pose}", f"model:={model}", f"threads:={threads}", f"gripper_width:={width}"]
+        own.append(f"at_a_time:={at_a_time}")
         given = [word for parameter in own for word in ("-p", parameter)]
         self.nodes = {
             name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *given])) for name in PROGRAMS

@@ -44,6 +44,8 @@ class ThroughputSettings:
     """How long to watch, after a few seconds that do not count."""
     threads: int = 2
     """The detector's parameter; 0: one for each core."""
+    at_a_time: int = 1
+    """The detector's parameter."""
     width: float = 0.08
     """Of the gripper [m]."""
     weights_seed: int = 0
@@ -55,6 +57,7 @@ class ThroughputSettings:
         check_range("seconds", self.seconds, 1.0, 1e6, "s")
         check_range("warm_up", self.warm_up, 0.1, 1e3, "s")
         check_range("threads", self.threads, 0, 1024)
+        check_range("at_a_time", self.at_a_time, 1, 16)
 
 
 class _Playing(NamedTuple):
@@ -115,6 +118,8 @@ def measure_throughput(settings: ThroughputSettings, say: Callable[[str], None] 
         seconds=elapsed,
         nodes=use,
         others=others,
+        at_a_time=settings.at_a_time,
+        detection=seen["detection"],
     )
 
 
@@ -166,7 +171,7 @@ def _playing(
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         model = ready_model(choice, folder, settings.weights_seed)
         pose = read_cloud(str(settings.bag)).T_target_cloud
-        system = NodeSystem(stack, environment, model, settings.threads, settings.width, pose)
+        system = NodeSystem(stack, environment, model, settings.threads, settings.width, pose, settings.at_a_time)
         player = stack.enter_context(system.replay(settings.bag, topic, rate))
         system.wait_until(lambda: system.receiver.ask("watch", seconds=0.2)["total"] > 0, "the first GraspArray")
         system.receiver.ask("watch", seconds=settings.warm_up)

@@ -70,7 +70,18 @@ def document(total: float = 0.2) -> Document:
         spread(total * 0.3), spread(total * 0.9), {"preprocessor total": spread(0.01)}, spread(0.005), 0.0,
     )  # fmt: skip
     flow = ThroughputRecord(
-        "regnetv2-s", "trained", 2, "bag", 20.0, 19.5, 16.5, 20.0, (NodeUse("detector", 1.5, 10**8, 2 * 10**8),), 0.0
+        "regnetv2-s",
+        "trained",
+        2,
+        "bag",
+        20.0,
+        19.5,
+        16.5,
+        20.0,
+        (NodeUse("detector", 1.5, 10**8, 2 * 10**8),),
+        0.0,
+        2,
+        0.1,
     )
     memory = MemoryRecord("regnetv2-s", "trained", "library", 10_000, 10**8, 2 * 10**8, 1e5, 1e4, 2e7, 900.0)
     return Document(

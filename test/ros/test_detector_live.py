@@ -40,7 +40,9 @@ class Detector:
 
     def __init__(self, system: System) -> None:
         self.peer: Peer = system.peer
-        self.process: NodeProcess = system.start_node("detector", model="antipodal", max_grasps=40, max_markers=10)
+        self.process: NodeProcess = system.start_node(
+            "detector", model="antipodal", max_grasps=40, max_markers=10, at_a_time=2
+        )
         self.grasps = self.peer.listen(GraspArray, "grasps")
         self.poses = self.peer.listen(PoseArray, "grasp_poses")
         self.markers = self.peer.listen(MarkerArray, "grasp_markers")
