@@ -6,6 +6,7 @@ parameter file holds then.
 
 from __future__ import annotations
 
+import tempfile
 from typing import Any
 
 import yaml
@@ -70,9 +71,9 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    def parameters(nodes: tuple[str, ...]) -> list[Any]:
-        given = overrides(nodes, {name: value(name) for name in PARAMETERS})
-        return [value("params_file"), given] if given else [value("params_file")]
+    def parameters(nodes: tuple[str, ...]) -> list[str]:
+        texts = {name: value(name) for name in PARAMETERS}
+        return [value("params_file"), *(file_of(node, given) for node in nodes if (given := overrides(node, texts)))]
 
     programs = APART if yaml.safe_load(value("apart")) else TOGETHER
     return [
@@ -91,11 +92,19 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     ]
 
 
-def overrides(nodes: tuple[str, ...], texts: dict[str, str]) -> dict[str, Any]:
-    """The parameters of some nodes that were given on the command line, in the types that they have."""
+def file_of(node: str, values: dict[str, Any]) -> str:
+    """A parameter file for one node alone: values that launch is given as they are would be those of all nodes of the
+    process."""
+    with tempfile.NamedTemporaryFile("w", prefix=f"{node}_", suffix=".yaml", delete=False) as file:
+        yaml.safe_dump({f"/**/{node}": {"ros__parameters": values}}, file)
+    return file.name
+
+
+def overrides(node: str, texts: dict[str, str]) -> dict[str, Any]:
+    """The parameters of one node that were given on the command line, in the types that they have."""
     chosen: dict[str, Any] = {}
-    for name, (having, kind, _) in PARAMETERS.items():
-        if set(nodes).isdisjoint(having) or texts[name] == "":
+    for name, (nodes, kind, _) in PARAMETERS.items():
+        if node not in nodes or texts[name] == "":
             continue
         if kind is str:
             chosen[name] = texts[name]

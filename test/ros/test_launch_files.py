@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -99,16 +100,16 @@ def test_arguments_reach_the_nodes_as_valid_parameters(launch_file: ModuleType, 
     }
     found: dict[str, dict[str, Any]] = {}
     for node in launch_file.start_nodes(arguments(launch_file, apart=apart, **given)):
-        file, parameters = node.named["parameters"]
+        file, *given_files = node.named["parameters"]
         assert file == "regnet.yaml"
-        assert parameters.pop("use_sim_time") is True
-        names = (launch_file.APART if apart == "true" else launch_file.TOGETHER)[node.named["executable"]]
-        for name in names:
-            own = {key: value for key, value in parameters.items() if name in launch_file.PARAMETERS[key][0]}
-            found[name] = {key: checked_value(TABLES[name], key, value) for key, value in own.items()}
-        assert set(parameters) == {key for name in names for key in found[name]}
-    assert found["preprocessor"]["sensor_pose"] == (0.4, 0.0, 1.2, -2.2, 0.0, 1.57)
-    assert found["preprocessor"]["target_frame"] == "base_link"
+        for given_file in given_files:
+            [(name, content)] = yaml.safe_load(Path(given_file).read_text()).items()
+            name, parameters = name.removeprefix("/**/"), content["ros__parameters"]
+            assert parameters.pop("use_sim_time") is True
+            found[name] = {key: checked_value(TABLES[name], key, value) for key, value in parameters.items()}
+            Path(given_file).unlink()
+    pose = (0.4, 0.0, 1.2, -2.2, 0.0, 1.57)
+    assert found["preprocessor"] == {"sensor_pose": pose, "target_frame": "base_link", "autostart": False}
     model = {"model": "/run/weights.safetensors", "device": "cpu"}
     assert found["detector"] == {"gripper_width": 0.06, "autostart": False, **model}
     assert found["selector"] == {"policy": "analytic", "execute": True, "autostart": False}
