@@ -80,7 +80,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self.health = Health(awaits=awaits)
         count = self.at_a_time()
         self.busy = Places(count)
-        """Taken while regnet_core computes: work and services take turns."""
+        """Taken while regnet_core computes: so much work and so many services at a time."""
         self.workers: Workers[Any] = Workers(f"{name} worker", count, self._work, self._pause)
         self.input_group = QuickCallbackGroup()
         self.service_group = MutuallyExclusiveCallbackGroup()

@@ -57,6 +57,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def __init__(self, **kwargs: Any) -> None:
         self._taker: Taker | None = None
+        self._pace = Pace()
         super().__init__("preprocessor", awaits="clouds on the topic 'points'", **kwargs)
 
     def hand_to(self, taker: Taker | None) -> None:
@@ -66,7 +67,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
     def configure(self) -> None:
         """Create the topics."""
         self._last_plane = -math.inf
-        self._pace, self._asking = Pace(), self.resolve_topic_name(NEXT_CLOUD)
+        self._asking = self.resolve_topic_name(NEXT_CLOUD)
         requests = self.create_subscription(
             Duration, NEXT_CLOUD, self._on_request, OUTPUT_QOS, callback_group=self.input_group
         )
@@ -112,10 +113,11 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         prepared = time.perf_counter()
         header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
         cloud = PreparedCloud(header, result.points.astype(np.float32), result.colors)
-        if self._taker is None:
+        taker = self._taker  # the detector may be cleaned up meanwhile
+        if taker is None:
             self._cloud.publish(cloud_to_message(*cloud))
         else:
-            self._taker(cloud)
+            taker(cloud)
             publish_if_heard(self._cloud, lambda: cloud_to_message(*cloud))
         self._pace.sent(time.monotonic())
         published = time.perf_counter()

@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -53,7 +54,8 @@ def run(make_nodes: Callable[[], Sequence[Node]], args: Sequence[str] | None = N
         return _refuse(str(error))
     if not stops:
         spin(nodes)
-    finished = all([node.wait_until_idle(_PATIENCE / 2) for node in nodes])
+    deadline = time.monotonic() + _PATIENCE
+    finished = all([node.wait_until_idle(max(deadline - time.monotonic(), 0.0) / 2) for node in nodes])
     for node in reversed(nodes):
         with contextlib.suppress(RCLError, InvalidHandle):
             node.destroy_node()
@@ -79,7 +81,7 @@ def spin(nodes: Sequence[Node]) -> None:
         except InvalidHandle:  # an entity was destroyed by a cleanup while the executor looked at it
             continue
         except Exception as error:
-            nodes[0].crash(error, "in the executor")
+            (executor.at_work or nodes[0]).crash(error, "in the executor")
     executor.settle(_PATIENCE / 3)
     with contextlib.suppress(RCLError, InvalidHandle):
         executor.shutdown(timeout_sec=0.0)

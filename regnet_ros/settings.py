@@ -162,8 +162,8 @@ class DetectorParameters(SensorParameters):
     )
     at_a_time: int = parameter(
         1,
-        "Clouds worked on at a time, at most, each by its share of the threads: with more than 1 there are more arrays "
-        "in a second, and each comes later.",
+        "Clouds worked on at a time, at most; loops that are split over threads are split for each of them less. With "
+        "more than 1 there are more arrays in a second, and each comes later.",
         limits=(1, 16),
         read_only=True,
     )

@@ -59,7 +59,10 @@ class NodeExecutor(Executor):
         """
         super().__init__(context=context)
         self._pool = ThreadPoolExecutor(threads)
-        self._running: set[Future[None]] = set()
+        self._running: dict[Future[None], Any] = {}
+        """What was handed over, and the nodes that it belongs to."""
+        self.at_work: Any = None
+        """The node whose callback was called last, or raised what ``spin_once`` raises."""
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Wait for a callback and call it (rclpy's method).
@@ -71,14 +74,14 @@ class NodeExecutor(Executor):
             ready: tuple[Any, Any, Any] = self.wait_for_ready_callbacks(timeout_sec)
         except (ShutdownException, TimeoutException):
             return
-        task, entity, _ = ready
+        task, entity, self.at_work = ready
         if entity is not None and isinstance(entity.callback_group, QuickCallbackGroup):
             task()
             task.result()
         else:
-            self._hand_over(task)
+            self._hand_over(task, self.at_work)
         for future in [future for future in self._running if future.done()]:
-            self._running.remove(future)
+            self.at_work = self._running.pop(future)
             future.result()
 
     def spin_once_until_future_complete(self, future: Any, timeout_sec: Any = None) -> None:
@@ -92,7 +95,7 @@ class NodeExecutor(Executor):
             future.exception()
         self._running.clear()
 
-    def _hand_over(self, task: Any) -> None:
+    def _hand_over(self, task: Any, node: Any) -> None:
         begun = threading.Event()
 
         def run() -> None:
@@ -100,5 +103,5 @@ class NodeExecutor(Executor):
             task()
             task.result()
 
-        self._running.add(self._pool.submit(run))
+        self._running[self._pool.submit(run)] = node
         begun.wait(_PATIENCE)

@@ -129,7 +129,7 @@ class Workers(Generic[Item]):
             self._places.give_back_all()
 
     def wait_until_idle(self, timeout: float) -> bool:
-        """Wait until nothing is being worked on, at most so long [s]; whether that was reached."""
+        """Wait until nothing is being worked on or waited for, at most so long [s]; whether that was reached."""
         return self._places.wait_until_free(timeout)
 
     def end(self, timeout: float) -> None:

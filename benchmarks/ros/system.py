@@ -158,11 +158,12 @@ class NodeSystem:
         """
         self._environment = environment
         pose = _pose(T_world_camera)
-        own = [f"sensor_pose:={pose}", f"model:={model}", f"threads:={threads}", f"gripper_width:={width}"]
-        own.append(f"at_a_time:={at_a_time}")
-        given = [word for parameter in own for word in ("-p", parameter)]
+        values = [f"sensor_pose:={pose}", f"model:={model}", f"threads:={threads}", f"gripper_width:={width}"]
+        values.append(f"at_a_time:={at_a_time}")
+        own = {"pipeline": [word for value in values for word in ("-p", value)]}
         self.nodes = {
-            name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *given])) for name in PROGRAMS
+            name: stack.enter_context(self._node(name, ["--params-file", str(CONFIG), *own.get(name, [])]))
+            for name in PROGRAMS
         }
         settings = {"namespace": NAMESPACE, "nodes": list(NODES)}
         self.receiver = stack.enter_context(Worker("receiver", 1, settings, environment))

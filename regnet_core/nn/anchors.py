@@ -108,7 +108,7 @@ class GraspCoder:
     def decode(self, point: Tensor, anchor: Tensor, residual: Tensor) -> Pose:
         """Grasps (...) of residuals (..., 8) at points (..., 3) [m] and anchors (...,); shapes broadcast."""
         residual, direction = residual.to(point.dtype), self.anchors(point)[anchor]
-        if point.dim() == 2 and is_plain(point, direction, residual):
+        if is_plain(point, direction, residual) and point.dim() == direction.dim() == residual.dim() == 2:
             frame, theta, config = torch.eye(3).expand(len(point), 3, 3), (1.0, 0.0), self.config
             scale, depth = config.centre_scale, config.reference_depth
             return Pose(*decoded_grasps(frame, point, direction, theta, residual, scale, depth))
@@ -134,7 +134,7 @@ class RefineCoder:
     def decode(self, proposal: Pose, residual: Tensor) -> Pose:
         """Refined grasps (...) of proposals and residuals (..., 8); shapes broadcast."""
         residual = residual.to(proposal.translation.dtype)
-        if residual.dim() == 2 and is_plain(residual, *proposal):
+        if residual.dim() == 2 and proposal.rotation.dim() == 3 and is_plain(residual, *proposal):
             depth, scale = self.config.reference_depth, self.config.refine_scale
             reference, direction = _reference_point(proposal, depth), _sideways(residual).expand(len(residual), 3)
             return Pose(*decoded_grasps(proposal.rotation, reference, direction, (0.0, 1.0), residual, scale, depth))

@@ -82,12 +82,12 @@ class _SmallSteps:
             if self._inside == 0:
                 self._threads = torch.get_num_threads()
             self._inside += 1
-        torch.set_num_threads(1)
+            torch.set_num_threads(1)
 
     def __exit__(self, *error: object) -> None:
         with self._lock:
+            torch.set_num_threads(self._threads)
             self._inside -= 1
-        torch.set_num_threads(self._threads)
 
 
 _SMALL_STEPS = _SmallSteps()

@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from threading import Barrier
+from threading import Barrier, Lock
 from typing import NamedTuple, TypeVar
 
 import torch
 
 from regnet_core.ops.parallel import forget_at_fork, on_one_core
 
+_making = Lock()
 TILE = 4096
 """Rows of a tile: few enough for the cache, enough for the products to be as fast as they get."""
 Part = TypeVar("Part")
@@ -63,8 +64,13 @@ class _Mode(NamedTuple):
             yield
 
 
-@cache
 def _pool(cores: int) -> ThreadPoolExecutor:
+    with _making:  # one for all who ask at a time
+        return _made_pool(cores)
+
+
+@cache
+def _made_pool(cores: int) -> ThreadPoolExecutor:
     """Threads in each of which torch uses one core.
 
     ``torch.set_num_threads`` speaks for its own thread and for those that are yet to come: hence the last line. What
@@ -83,4 +89,4 @@ def _pool(cores: int) -> ThreadPoolExecutor:
     return pool
 
 
-forget_at_fork(_pool.cache_clear)
+forget_at_fork(_made_pool.cache_clear)

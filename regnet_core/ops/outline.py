@@ -13,6 +13,8 @@ from regnet_core.ops.compiled import compiled
 _ANGLES = np.arange(16) * (np.pi / 8)
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 """Counter-clockwise."""
+_THINNEST = 1e-5
+"""An outline of less area, as a share of the square of its circumference, is a line."""
 _STRIDE, _BLOCK = 16, 64
 """The polygon is that of every so manyth point; so many points are looked at together."""
 
@@ -42,6 +44,10 @@ def convex_outline(points: npt.NDArray[Any]) -> Array:
     along = np.roll(corners, -1, axis=0) - corners
     length = np.hypot(along[:, 0], along[:, 1])
     if len(corners) < 3:
+        return np.zeros((0, 3))
+    from_first = corners - corners[0]
+    area = 0.5 * np.sum(from_first[:, 0] * along[:, 1] - from_first[:, 1] * along[:, 0])
+    if area <= _THINNEST * np.sum(length) ** 2:  # what rounding makes of points in a line
         return np.zeros((0, 3))
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / length[:, None]
     return np.column_stack([normal, -np.sum(normal * corners, axis=1)])

@@ -17,12 +17,12 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 def dilated(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
-    """(nx, ny): the largest value of (nx, ny) within ``reach`` cells along both axes."""
+    """(nx, ny): the largest of the finite values (nx, ny) within ``reach`` cells along both axes."""
     return _along(_along(values, reach, 0, np.maximum), reach, 1, np.maximum)
 
 
 def eroded(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
-    """(nx, ny): the smallest value of (nx, ny) within ``reach`` cells along both axes."""
+    """(nx, ny): the smallest of the finite values (nx, ny) within ``reach`` cells along both axes."""
     return _along(_along(values, reach, 0, np.minimum), reach, 1, np.minimum)
 
 

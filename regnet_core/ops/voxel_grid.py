@@ -54,7 +54,7 @@ _TOGETHER = 16
 
 
 def bounds(points: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """The lower and the upper corner (3,) of the points' (N, 3) bounding box, N > 0; in the points' own type."""
+    """Lower and upper corner (3,) of the bounding box of finite points (N, 3), N > 0; in the points' own type."""
     return _bounds(np.ascontiguousarray(points))  # type: ignore[no-any-return]
 
 

@@ -180,7 +180,10 @@ def test_a_convex_outline_is_the_hull() -> None:
         own = convex_outline(points)
         assert len(own) == len(hull)
         np.testing.assert_allclose(own[np.argsort(own[:, 0])], hull[np.argsort(hull[:, 0])], atol=1e-6)
-    for points in (np.stack([np.arange(9.0)] * 2, axis=1), np.ones((5, 3)), np.ones((1, 2)), np.eye(2)):
+    along = RNG.random(50)[:, None]
+    lines = [along * slope + shift for slope in ([1.0, 0.1], [0.3, -0.7]) for shift in ([0.0, 0.0], [30.0, -20.0])]
+    lines += [line.astype(np.float32) for line in lines[::2]]
+    for points in (*lines, np.stack([np.arange(9.0)] * 2, axis=1), np.ones((5, 3)), np.ones((1, 2)), np.eye(2)):
         assert convex_outline(points).shape == (0, 3)
 
 

@@ -25,7 +25,7 @@ class Pipeline:
 
     Args:
         system: that they are processes of.
-        programs: that they run in: one for each, as the launch file starts them, or "pipeline" for two.
+        programs: that they run in: one for each, as the launch file starts them with `apart`, or "pipeline" for two.
     """
 
     def __init__(self, system: System, programs: tuple[str, ...] = NODES) -> None:

@@ -89,6 +89,22 @@ def test_each_node_reports_its_own_health(camera: Camera) -> None:
         assert values["state"] == "active"
 
 
+def test_the_detector_may_be_brought_up_first(system: System) -> None:
+    peer = system.peer
+    grasps = peer.listen(GraspArray, "late/grasps")
+    process = system.start(
+        "pipeline", "--ros-args", "-r", "__ns:=/late", "-p", "autostart:=false", "-p", "model:=antipodal"
+    )
+    peer.wait_for_state("late/detector", "unconfigured")
+    for node in ("late/detector", "late/preprocessor"):
+        assert peer.change_state(node, Transition.TRANSITION_CONFIGURE), process.output
+        assert peer.change_state(node, Transition.TRANSITION_ACTIVATE), process.output
+        assert peer.state(node) == "active"
+    peer.publisher(PointCloud2, "late/points").publish(cloud(SCENE, stamp=7))
+    assert len(grasps.wait(lambda array: array.header.stamp.sec == 7, what="GraspArray").grasps) > 0
+    process.kill()
+
+
 def test_nothing_was_reported_that_should_not_be(pipeline: Pipeline) -> None:
     for process in pipeline.processes:
         assert process.alive
