@@ -13,7 +13,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 
 ROOT = Path(__file__).resolve().parents[2]
 PREFIX = Path(sys.prefix)
-EXECUTABLES = ("bin_picking", "detector", "executor", "preprocessor", "replay", "selector")
+EXECUTABLES = ("bin_picking", "detector", "executor", "pipeline", "preprocessor", "replay", "selector")
 # An interpreter's answer to the launcher: which one it is and what it was told.
 STUB = '#!/bin/sh\necho "{name}: $*"\n'
 

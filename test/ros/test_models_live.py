@@ -1,8 +1,9 @@
-"""The detector's models: networks by path, switching while clouds come, refusals. The network here is untrained."""
+"""The detector's models: networks by path, switching while clouds come, refusals."""
 
 from __future__ import annotations
 
 import re
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from live import NodeProcess, System, values_of
 from regnet_msgs.msg import GraspArray
 from sensor_msgs.msg import PointCloud2
 
-from regnet_core import GraspDetector, Gripper
+from regnet_core import GraspDetector, Gripper, weights
 from regnet_ros.conversions import grasps_from_messages
 
 
@@ -50,8 +51,10 @@ class Switchable:
 
 
 @pytest.fixture(scope="module")
-def switchable(system: System, untrained: Path) -> Switchable:
-    return Switchable(system, untrained)
+def switchable(system: System, tmp_path_factory: pytest.TempPathFactory) -> Switchable:
+    """With a network of one's own: the published weights under another name."""
+    published = Path(weights.__file__).parent / "regnetv2-s.safetensors"
+    return Switchable(system, Path(shutil.copy(published, tmp_path_factory.mktemp("weights") / "own.safetensors")))
 
 
 def test_the_model_and_its_device_are_told_before_the_node_is_active(switchable: Switchable) -> None:
