@@ -1,4 +1,4 @@
-"""The nodes as users start them, each a process, in a ROS domain where nothing else talks."""
+"""The nodes as the launch file starts them, in a ROS domain where nothing else talks."""
 
 from __future__ import annotations
 
