@@ -183,10 +183,10 @@ def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: Detect
 
 
 def serialized_grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: DetectionReport) -> bytes:
-    """The same message as a publisher sends it, ten times sooner where there are many grasps.
+    """The same message as a publisher sends it, six times sooner for 200 grasps.
 
     A grasp is eleven float64 in CDR, with nothing between them: rclpy serializes the message with one of them, in the
-    place of which all are written.
+    place of which all are written. Where a middleware writes it in another way, rclpy serializes them all.
     """
     if len(grasps) == 0:
         return bytes(serialize_message(grasp_array(header, grasps, gripper, report)))
@@ -200,7 +200,8 @@ def serialized_grasp_array(header: Header, grasps: Grasps, gripper: Gripper, rep
     first = count_at + 8
     kind = "<" if one[1] == 1 else ">"
     count = np.array([len(grasps), 0], f"{kind}u4").tobytes()
-    assert one[count_at : count_at + 4] == np.array([1], f"{kind}u4").tobytes()
+    if one[count_at : count_at + 4] != np.array([1], f"{kind}u4").tobytes():
+        return bytes(serialize_message(grasp_array(header, grasps, gripper, report)))
     return one[:count_at] + count + table.astype(f"{kind}f8").tobytes() + one[first + table.shape[1] * 8 :]
 
 

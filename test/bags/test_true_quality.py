@@ -75,8 +75,8 @@ def test_a_narrow_gripper_closes_on_nothing_wider_than_itself(name: str) -> None
         assert grasps.width.max() <= 0.04
         assert np.nanmax(contacts.contact_width) <= 0.04
         too_wide.append((truth(name).enclosed_width(grasps[:100], gripper) > 0.04).mean())
-    # Where the far side is hidden, many grasps of one object are wrong together: in single clouds, up to a tenth.
-    assert np.mean(too_wide) <= 0.04
+    # Where the far side is hidden, many grasps of one object are wrong together: 8 of 100 in one of the clouds.
+    assert np.mean(too_wide) <= 0.04 and max(too_wide) <= 0.1
 
 
 def test_nothing_is_grasped_on_an_empty_table() -> None:

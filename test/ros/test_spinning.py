@@ -77,6 +77,7 @@ def test_a_long_callback_does_not_keep_quick_ones_out(node: Node) -> None:
     node.create_timer(0.01, lambda: quick.append(1), QuickCallbackGroup())
     executor = executor_of(node)
     spun_until(executor, lambda: len(quick) >= 5)  # both threads are busy long before
+    assert not gate.is_set() and executor._running
     gate.set()
     executor.settle(10.0)
     executor.shutdown()

@@ -53,6 +53,7 @@ def running(count: int, pause: float = 0.0) -> Iterator[tuple[Workers[int], Gate
 def test_work_begins_at_once_where_nothing_asks_for_a_pause_however_long_ago_it_was_allowed() -> None:
     with running(1, -math.inf) as (_, gates):
         gates.put(0)
+        assert gates.begun == [0]
 
 
 def test_nothing_is_taken_while_nothing_is_wanted() -> None:
