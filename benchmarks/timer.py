@@ -1,8 +1,7 @@
 """Times of stages by wrappers around the functions that do their work.
 
 Every stage gets the time of its own functions less that of the stages called from them, so that the stages of a
-detection add up to it; what would go on beside others on another core is done before them. Wrapping costs about a
-microsecond a call; what is reported as a total is measured without.
+detection add up to it. Wrapping costs about a microsecond a call; what is reported as a total is measured without.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from benchmarks.errors import StageError
 from benchmarks.patching import Function, Target, replace, resolve
 from benchmarks.stage import Stage
 
-_BESIDE = "regnet_core.ops.parallel:beside"
 Observer = Callable[[tuple[Any, ...], Any], Mapping[str, float]]
 """From the arguments and the result of a call to numbers worth knowing, such as how many neighbours it found."""
 
@@ -44,12 +42,6 @@ class Sample:
     stages: dict[str, StageTime] = field(default_factory=dict)
     counts: dict[str, float] = field(default_factory=dict)
     """Sums of what the observers found."""
-
-
-def _at_once(work: Callable[[], Any]) -> Callable[[], Any]:
-    """In place of the function that has work done on another core."""
-    done = work()
-    return lambda: done
 
 
 class _Frame:
@@ -93,7 +85,6 @@ class StageTimer:
 
     def __enter__(self) -> StageTimer:
         self._stack = ExitStack()
-        replace(self._stack, resolve(_BESIDE), _at_once)
         for stage, name, target in self._targets:
             replace(self._stack, target, self._wrapped(stage, name, target.function))
         return self

@@ -76,13 +76,11 @@ class SceneCollision:
         )
         g = self._grid
 
-        def run(start: int, stop: int) -> None:
-            _count(
-                grasps.rotation, grasps.translation, grasps.width, sizes, g.points, flags, g.start, g.origin, g.shape,
-                g.cell, start, stop, counts,
-            )  # fmt: skip
-
-        for_each_range(run, len(grasps), each=3000)
+        for_each_range(
+            _count, len(grasps), 3000,
+            grasps.rotation, grasps.translation, grasps.width, sizes, g.points, flags, g.start, g.origin, g.shape,
+            g.cell, counts,
+        )  # fmt: skip
         return Occupancy(*np.ascontiguousarray(counts.T))
 
     def with_points(self, grasps: Grasps, gripper: Gripper) -> Mask:
@@ -111,7 +109,7 @@ def lowest_height(grasps: Grasps, gripper: Gripper, plane: Plane) -> Array:
 
 
 @compiled
-def _count(rotation, translation, opening, sizes, points, flags, starts, origin, shape, cell, begin, end, counts):  # type: ignore[no-untyped-def]
+def _count(begin, end, rotation, translation, opening, sizes, points, flags, starts, origin, shape, cell, counts):  # type: ignore[no-untyped-def]
     width, depth, half_height, thickness, palm_depth, margin = sizes
     z_max = half_height + margin
     for m in range(begin, end):

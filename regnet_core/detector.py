@@ -121,7 +121,6 @@ class GraspDetector:
             grasps = Grasps.empty()
             if len(scene.seen) >= _MIN_POINTS:
                 grasps = self._propose_and_check(scene, hand, limits, rng, recorder)
-            scene.completed()  # it may have warnings
         report = recorder.finish(self.model, self.device)
         if len(grasps) == 0:
             why = explain(report.steps, scene, hand, _MIN_POINTS, limits.target is not None)

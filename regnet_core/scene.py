@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,7 +13,6 @@ from regnet_core.clusters import beyond, cluster, structure
 from regnet_core.completion import SolidModel, fill_columns, hidden_surface
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
-from regnet_core.ops.parallel import beside
 from regnet_core.ops.rows import taken
 from regnet_core.pointcloud import (
     Index,
@@ -79,19 +77,9 @@ class Surface:
     """(S,): row of the point in the user's array; -1 for inferred ones."""
 
 
-class Completed(NamedTuple):
-    """What takes longest to prepare."""
-
-    objects: Surface
-    ground: UnseenGround | None
-
-
 @dataclass(frozen=True)
 class Scene:
-    """One cloud, ready for detection.
-
-    What is hidden may still be in the making on another core: ``objects``, ``obstacles`` and ``ground`` wait for it.
-    """
+    """One cloud, ready for detection."""
 
     points: Array
     """(N, 3): every valid point in the workspace, thinned by voxels [m]."""
@@ -103,8 +91,10 @@ class Scene:
     """(O, 3): what the camera saw of the objects' surface, the first rows of that [m]."""
     structure: Array
     """(K, 3): points of walls, people, furniture, which are only in the way [m]."""
-    completed: Callable[[], Completed] = field(repr=False)
-    """Waits for the rest."""
+    objects: Surface
+    """The surface of what stands on the plane (everything when there is no plane)."""
+    ground: UnseenGround | None
+    """Which part of the plane was not seen; None without a plane."""
     given_colors: npt.NDArray[Any] | None = field(repr=False)
     """(M, 3): the user's colours, a row for each row of the user's array, or None."""
 
@@ -112,16 +102,6 @@ class Scene:
     def colors(self) -> npt.NDArray[np.float64] | None:
         """(N, 3) in [0, 1], or None."""
         return None if self.given_colors is None else colors_as_floats(self.given_colors[self.source])
-
-    @property
-    def objects(self) -> Surface:
-        """The surface of what stands on the plane (everything when there is no plane)."""
-        return self.completed().objects
-
-    @property
-    def ground(self) -> UnseenGround | None:
-        """Which part of the plane was not seen; None without a plane."""
-        return self.completed().ground
 
     @property
     def obstacles(self) -> Array:
@@ -148,7 +128,7 @@ def prepare_scene(
         colors: (M, 3), integers 0..255 or floats 0..1, or None.
         config: how to do it.
         rng: source of randomness.
-        recorder: receives the counts and times of the steps, and warnings, the last of them before ``completed`` ends.
+        recorder: receives the counts and times of the steps, and warnings.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
     with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
@@ -165,10 +145,9 @@ def prepare_scene(
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
+        objects, ground = _complete(found, cloud, plane, config, viewpoint, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
-    warnings = recorder.warnings
-    completed = beside(lambda: _complete(found, cloud, plane, config, viewpoint, warnings))
-    return Scene(cloud, source, plane, found.points, found.structure, completed, colors)
+    return Scene(cloud, source, plane, found.points, found.structure, objects, ground, colors)
 
 
 class _Found(NamedTuple):
@@ -237,7 +216,7 @@ def _complete(
     config: SceneConfig,
     viewpoint: Array | None,
     warnings: list[str],
-) -> Completed:
+) -> tuple[Surface, UnseenGround | None]:
     """The objects' surface with outward normals and hidden sides, and the ground."""
     points, normals, source, height, base, _ = found
     model = fill_columns(points, base) if config.complete_hidden else None
@@ -250,9 +229,9 @@ def _complete(
     if model is not None:
         objects = _with_hidden_sides(objects, model, base)
     if plane is None or not config.complete_hidden:
-        return Completed(objects, None)
+        return objects, None
     on_plane = np.flatnonzero(np.abs(plane.height(cloud)) <= config.plane_clearance)
-    return Completed(objects, unseen_ground(taken(cloud, on_plane), objects.points))
+    return objects, unseen_ground(taken(cloud, on_plane), objects.points)
 
 
 def _lowest_level(cloud: Array) -> Plane:

@@ -42,13 +42,10 @@ def local_frames(grid: VoxelGrid, normals: Array, queries: Array, radius: float)
     products, total = np.zeros((len(queries), 3, 3)), np.zeros((len(queries), 3))
     count = np.zeros(len(queries), np.int64)
 
-    def run(start: int, stop: int) -> None:
-        _sum_products(
-            queries, radius, grid.points, normals, grid.start, grid.origin, grid.shape, grid.cell, start, stop,
-            products, total, count,
-        )  # fmt: skip
-
-    for_each_range(run, len(queries), each=1500)
+    for_each_range(
+        _sum_products, len(queries), 1500,
+        queries, radius, grid.points, normals, grid.start, grid.origin, grid.shape, grid.cell, products, total, count,
+    )  # fmt: skip
     vectors = np.linalg.eigh(products)[1]
     axis, normal = vectors[:, :, 0], vectors[:, :, 2]
     inward = np.einsum("qi,qi->q", normal, total) < 0.0
@@ -58,7 +55,7 @@ def local_frames(grid: VoxelGrid, normals: Array, queries: Array, radius: float)
 
 @compiled
 def _sum_products(  # type: ignore[no-untyped-def]
-    queries, radius, points, normals, starts, origin, shape, cell, begin, end, products, total, count
+    begin, end, queries, radius, points, normals, starts, origin, shape, cell, products, total, count
 ):
     for q in range(begin, end):
         x, y, z = queries[q]

@@ -66,13 +66,10 @@ def place_fingers(
     limit = _limits_of_plane(rotation, points, gripper, plane, clearance)
     g = grid
 
-    def run(start: int, stop: int) -> None:
-        _place(
-            rotation, points, sizes, places, limit, g.points, g.start, g.origin, g.shape, g.cell, start, stop,
-            found, offset, reach,
-        )  # fmt: skip
-
-    for_each_range(run, count, each=5000)
+    for_each_range(
+        _place, count, 5000,
+        rotation, points, sizes, places, limit, g.points, g.start, g.origin, g.shape, g.cell, found, offset, reach,
+    )  # fmt: skip
     return Placement(found, offset, reach)
 
 
@@ -95,7 +92,7 @@ def _limits_of_plane(
 
 @compiled
 def _place(  # type: ignore[no-untyped-def]
-    rotation, at, sizes, places, limit, points, starts, origin, shape, cell, begin, end, found, offset, reach
+    begin, end, rotation, at, sizes, places, limit, points, starts, origin, shape, cell, found, offset, reach
 ):
     width, depth, half_height, thickness, palm_depth, margin, least = sizes
     farthest = np.empty(places)

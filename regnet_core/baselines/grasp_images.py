@@ -46,15 +46,12 @@ def grasp_images(areas: ClosingAreas, channels: int) -> Images:
     points, normals = (np.ascontiguousarray(value, np.float32) for value in (areas.points, areas.normals))
     offsets = np.ascontiguousarray(areas.offsets, np.int64)
 
-    def run(start: int, stop: int) -> None:
-        _draw(points, normals, offsets, views, channels // len(views), start, stop, images)
-
-    for_each_range(run, len(areas), each=50_000)
+    for_each_range(_draw, len(areas), 50_000, points, normals, offsets, views, channels // len(views), images)
     return images
 
 
 @compiled
-def _draw(points, normals, offsets, views, layers, begin, end, images):  # type: ignore[no-untyped-def]
+def _draw(begin, end, points, normals, offsets, views, layers, images):  # type: ignore[no-untyped-def]
     """``layers``: channels of a view, 3 or 4."""
     size = images.shape[2]
     count = np.zeros((size, size), np.int32)

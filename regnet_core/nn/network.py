@@ -28,7 +28,6 @@ from regnet_core.nn.results import (
     expected_quality,
     refined_quality,
 )
-from regnet_core.ops.parallel import beside
 
 
 class RegNet(nn.Module):
@@ -66,9 +65,8 @@ class RegNet(nn.Module):
         """
         if hierarchy is None and clouds.points.device.type == "cpu" and not torch.is_grad_enabled():
             buckets = buckets_of(clouds)
-            levels = beside(lambda: build_hierarchy(clouds, self.config, buckets, eligible is None))
             clouds = with_shapes(clouds, self.config, buckets)
-            hierarchy = levels()
+            hierarchy = build_hierarchy(clouds, self.config, buckets, eligible is None)
         else:
             clouds = with_shapes(clouds, self.config)
         proposed = self.propose(clouds, hierarchy, eligible=eligible)

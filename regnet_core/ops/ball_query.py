@@ -56,12 +56,7 @@ def _queried_on_cpu(
     points: torch.Tensor, centres: torch.Tensor, radius: float, most: int, buckets: Buckets | None
 ) -> Neighbourhoods:
     given, queries = buckets or in_buckets(points.float().numpy()), centres.float().numpy()
-    return collect(
-        lambda start, stop, counts, found: _search(queries, radius, given, start, stop, counts, found),
-        len(queries),
-        most,
-        each=700,
-    )
+    return collect(_search, len(queries), most, 700, queries, radius, given)
 
 
 def ball_query_in_torch(points: torch.Tensor, centres: torch.Tensor, radius: float, most: int) -> Neighbourhoods:
@@ -84,7 +79,7 @@ def _within(points: torch.Tensor, centres: torch.Tensor, radius: float) -> torch
 
 
 @compiled
-def _search(queries, radius, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
+def _search(begin, end, queries, radius, points, counts, found):  # type: ignore[no-untyped-def]
     near, buckets, at = (
         np.empty(points.number, np.int32),
         np.empty(len(points.rows), np.int64),

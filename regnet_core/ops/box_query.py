@@ -66,12 +66,7 @@ def _queried_on_cpu(points: torch.Tensor, boxes: Boxes, most: int, buckets: Buck
     given = buckets or in_buckets(points.float().numpy())
     axes = boxes.rotation.transpose(1, 2).double().contiguous().numpy()
     middle, half = boxes.middle().numpy(), boxes.half().numpy()
-    return collect(
-        lambda start, stop, counts, found: _search(axes, middle, half, given, start, stop, counts, found),
-        len(middle),
-        most,
-        each=1500,
-    )
+    return collect(_search, len(middle), most, 1500, axes, middle, half, given)
 
 
 def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbourhoods:
@@ -86,7 +81,7 @@ def box_query_in_torch(points: torch.Tensor, boxes: Boxes, most: int) -> Neighbo
 
 
 @compiled
-def _search(axes, middle, half, points, begin, end, counts, found):  # type: ignore[no-untyped-def]
+def _search(begin, end, axes, middle, half, points, counts, found):  # type: ignore[no-untyped-def]
     near, at = np.empty(points.number, np.int32), points.points.ctypes.data
     groups, boxes = points.groups.ctypes.data, points.boxes.ctypes.data
     for q in range(begin, end):

@@ -158,7 +158,7 @@ def largest_bytes(given: Sum, layers: Layers, outputs: int, offsets: torch.Tenso
     top = torch.zeros((len(bounds) - 1, outputs), dtype=torch.uint8)
     target, width = top.numpy(), _width(given.shape[1], layers)
     each = _row_time(layers) * given.shape[0] / max(len(target), 1)
-    for_each_range(lambda a, z: _largest(source, layers, width, bounds, a, z, target), len(target), each)
+    for_each_range(_largest, len(target), each, source, layers, width, bounds, target)
     return top
 
 
@@ -166,9 +166,7 @@ def floats_of_sum(given: Sum, layers: Layers, outputs: int) -> torch.Tensor:
     """What the layers, at least one, make of a sum of E rows -> (E, outputs) float32, none below 0."""
     source, (count, channels) = _Source.of(given), given.shape
     out, width = _floats(count, layers), _width(channels, layers)
-    for_each_range(
-        lambda a, z: _floats_of_sum(source, layers, width, count, a, z, out), _tiles(count), _TILE * _row_time(layers)
-    )
+    for_each_range(_floats_of_sum, _tiles(count), _TILE * _row_time(layers), source, layers, width, count, out)
     return torch.from_numpy(out)[:count, :outputs]
 
 
@@ -177,10 +175,7 @@ def bytes_of_sum(given: Sum) -> torch.Tensor:
     source, (count, channels) = _Source.of(given), given.shape
     out = np.empty((-(-count // ROWS) * ROWS, len(source.bias[0])), np.uint8)
 
-    def run(start: int, stop: int) -> None:
-        _sum(source, start * ROWS, min(stop * ROWS, count), out[start * ROWS :])
-
-    for_each_range(run, len(out) // ROWS, each=ROWS * 0.3 * channels)
+    for_each_range(_sums, len(out) // ROWS, ROWS * 0.3 * channels, source, count, out)
     return torch.from_numpy(out)[:count, :channels]
 
 
@@ -193,11 +188,7 @@ def floats_of_rows(rows: torch.Tensor, layers: Layers, outputs: int, *, rectifie
     layers, scale = layers.for_unit(largest / 255.0), np.float32(255.0 / largest)
     out, width = _floats(count, layers), _width(rows.shape[1], layers)
     least = np.float32(0.0) if rectified else _LOWEST
-    for_each_range(
-        lambda a, z: _floats_of_rows(source, scale, layers, width, least, a, z, out),
-        _tiles(count),
-        _TILE * _row_time(layers),
-    )
+    for_each_range(_floats_of_rows, _tiles(count), _TILE * _row_time(layers), source, scale, layers, width, least, out)
     return torch.from_numpy(out)[:count, :outputs]
 
 
@@ -231,7 +222,7 @@ def _blocks(values: torch.Tensor) -> npt.NDArray[np.float32]:
 
 
 @compiled
-def _largest(source, layers, width, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+def _largest(begin, end, source, layers, width, offsets, top):  # type: ignore[no-untyped-def]
     one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
     segment, stop = begin, offsets[end]
     for first in range(offsets[begin], stop, _TILE):
@@ -247,7 +238,7 @@ def _largest(source, layers, width, offsets, begin, end, top):  # type: ignore[n
 
 
 @compiled
-def _floats_of_sum(source, layers, width, count, begin, end, out):  # type: ignore[no-untyped-def]
+def _floats_of_sum(begin, end, source, layers, width, count, out):  # type: ignore[no-untyped-def]
     one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
     for tile in range(begin, end):
         first = tile * _TILE
@@ -258,7 +249,12 @@ def _floats_of_sum(source, layers, width, count, begin, end, out):  # type: igno
 
 
 @compiled
-def _floats_of_rows(rows, scale, layers, width, least, begin, end, out):  # type: ignore[no-untyped-def]
+def _sums(begin, end, source, count, out):  # type: ignore[no-untyped-def]
+    _sum(source, begin * ROWS, min(end * ROWS, count), out[begin * ROWS :])
+
+
+@compiled
+def _floats_of_rows(begin, end, rows, scale, layers, width, least, out):  # type: ignore[no-untyped-def]
     one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
     half, most = np.float32(0.5), np.float32(255.0)
     for tile in range(begin, end):

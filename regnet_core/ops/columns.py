@@ -45,10 +45,8 @@ def smoothed_columns(
     across = np.empty((*top.shape, len(z)), np.float32)
     density = np.empty_like(across)
     some, voxels = np.zeros(top.shape, np.bool_), top.shape[1] * len(z)
-    for_each_range(
-        lambda start, stop: _along_y(filled, table, weights, start, stop, across, some), len(top), 0.8 * voxels
-    )
-    for_each_range(lambda start, stop: _along_x(across, some, weights, start, stop, density), len(top), 1.2 * voxels)
+    for_each_range(_along_y, len(top), 0.8 * voxels, filled, table, weights, across, some)
+    for_each_range(_along_x, len(top), 1.2 * voxels, across, some, weights, density)
     return density
 
 
@@ -63,11 +61,11 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
     nx, ny, nz = density.shape
     solid, counts = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8), np.zeros(nx + 1, np.int64)
     surface = np.empty((nx, ny, nz), np.uint8)
-    for_each_range(lambda a, b: _mark_solid(density, level, a, b, solid), nx, 0.5 * ny * nz)
-    for_each_range(lambda a, b: _mark_surface(solid, first, a, b, surface, counts), nx, 1.0 * ny * nz)
+    for_each_range(_mark_solid, nx, 0.5 * ny * nz, density, level, solid)
+    for_each_range(_mark_surface, nx, 1.0 * ny * nz, solid, first, surface, counts)
     start = np.cumsum(counts)
     found = np.empty((start[-1], 3), np.int64)
-    for_each_range(lambda a, b: _list_marked(surface, start, a, b, found), nx, 0.3 * ny * nz)
+    for_each_range(_list_marked, nx, 0.3 * ny * nz, surface, start, found)
     return found
 
 
@@ -81,7 +79,7 @@ def slope_at(density: npt.NDArray[np.floating], where: Array, step: float) -> Ar
     """
     slope = np.empty((len(where), 3), np.float32)
     at = np.ascontiguousarray(where, np.float64)
-    for_each_range(lambda start, stop: _slope(density, at, step, start, stop, slope), len(at), each=120)
+    for_each_range(_slope, len(at), 120, density, at, step, slope)
     return slope.astype(np.float64)
 
 
@@ -117,7 +115,7 @@ def _value_at(density, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _slope(density, where, step, begin, end, slope):  # type: ignore[no-untyped-def]
+def _slope(begin, end, density, where, step, slope):  # type: ignore[no-untyped-def]
     for p in range(begin, end):
         x, y, z = where[p, 0], where[p, 1], where[p, 2]
         slope[p, 0] = _value_at(density, x + step, y, z) - _value_at(density, x - step, y, z)
@@ -150,7 +148,7 @@ def _walls(density, index, level, least, points, normals):  # type: ignore[no-un
 
 
 @compiled
-def _along_y(filled, table, weights, begin, end, across, some):  # type: ignore[no-untyped-def]
+def _along_y(begin, end, filled, table, weights, across, some):  # type: ignore[no-untyped-def]
     reach, ny = len(weights) // 2, filled.shape[1]
     for x in range(begin, end):
         for y in range(ny):
@@ -166,7 +164,7 @@ def _along_y(filled, table, weights, begin, end, across, some):  # type: ignore[
 
 
 @compiled
-def _along_x(across, some, weights, begin, end, density):  # type: ignore[no-untyped-def]
+def _along_x(begin, end, across, some, weights, density):  # type: ignore[no-untyped-def]
     reach, nx = len(weights) // 2, len(across)
     for x in range(begin, end):
         for y in range(across.shape[1]):
@@ -181,7 +179,7 @@ def _along_x(across, some, weights, begin, end, density):  # type: ignore[no-unt
 
 
 @compiled
-def _mark_solid(density, level, begin, end, solid):  # type: ignore[no-untyped-def]
+def _mark_solid(begin, end, density, level, solid):  # type: ignore[no-untyped-def]
     """Which voxels are above the level, with a border of those that are not."""
     for x in range(begin, end):
         for y in range(density.shape[1]):
@@ -191,7 +189,7 @@ def _mark_solid(density, level, begin, end, solid):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _mark_surface(solid, first, begin, end, surface, counts):  # type: ignore[no-untyped-def]
+def _mark_surface(begin, end, solid, first, surface, counts):  # type: ignore[no-untyped-def]
     """In bytes, of which a register holds many."""
     for x in range(begin, end):
         n = 0
@@ -210,7 +208,7 @@ def _mark_surface(solid, first, begin, end, surface, counts):  # type: ignore[no
 
 
 @compiled
-def _list_marked(surface, start, begin, end, found):  # type: ignore[no-untyped-def]
+def _list_marked(begin, end, surface, start, found):  # type: ignore[no-untyped-def]
     for x in range(begin, end):
         n = start[x]
         for y in range(surface.shape[1]):

@@ -47,10 +47,10 @@ def seen_from_grasps(
     rows, bounds, out = near.indices.numpy(), near.offsets.numpy(), seen.numpy()
     numbers, scale = carried.detach().contiguous().numpy(), np.float32(1.0 / unit)
 
-    def run(start: int, stop: int) -> None:
-        _look(where, surface, shapes is not None, pose, origin, scale, numbers, rows, bounds, start, stop, out)
-
-    for_each_range(run, len(rotation), each=20 * len(rows) / max(len(rotation), 1))
+    each = 20 * len(rows) / max(len(rotation), 1)
+    for_each_range(
+        _look, len(rotation), each, where, surface, shapes is not None, pose, origin, scale, numbers, rows, bounds, out
+    )
     return seen
 
 
@@ -78,7 +78,7 @@ def seen_from_grasps_in_torch(
 
 
 @compiled
-def _look(points, shapes, with_shapes, rotation, translation, scale, carried, indices, offsets, begin, end, seen):  # type: ignore[no-untyped-def]
+def _look(begin, end, points, shapes, with_shapes, rotation, translation, scale, carried, indices, offsets, seen):  # type: ignore[no-untyped-def]
     # Numbers instead of small arrays, which would be read again after every write to ``seen``.
     first = 3 + carried.shape[1]
     for g in range(begin, end):

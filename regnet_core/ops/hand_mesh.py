@@ -90,14 +90,12 @@ def hand_on_mesh(
         [gripper.depth, gripper.height / 2, gripper.thickness, gripper.palm_depth, gripper.width / 2, clearance]
     )
 
-    def run(start: int, stop: int) -> None:
-        _meet(
-            np.ascontiguousarray(rotation), np.ascontiguousarray(translation), np.ascontiguousarray(opening), size,
-            tree.corners, tree.normals, tree.lower, tree.upper, tree.right, tree.first, tree.leaf_count, bodies,
-            start, stop, collides, spans, normals,
-        )  # fmt: skip
-
-    for_each_range(run, m, each=10_000)
+    for_each_range(
+        _meet, m, 10_000,
+        np.ascontiguousarray(rotation), np.ascontiguousarray(translation), np.ascontiguousarray(opening), size,
+        tree.corners, tree.normals, tree.lower, tree.upper, tree.right, tree.first, tree.leaf_count, bodies,
+        collides, spans, normals,
+    )  # fmt: skip
     closing = rotation[:, :, 1]
     return HandMesh(
         collides=collides,
@@ -122,8 +120,8 @@ def box_mesh_faces() -> npt.NDArray[np.int64]:
 
 @compiled
 def _meet(  # type: ignore[no-untyped-def]
-    rotation, translation, opening, size, corners, normals, node_lower, node_upper, right, first, count, bodies,
-    begin, end, collides, spans, contact_normals,
+    begin, end, rotation, translation, opening, size, corners, normals, node_lower, node_upper, right, first, count,
+    bodies, collides, spans, contact_normals,
 ):  # fmt: skip
     depth, half_z, thickness, palm_depth, half_w, grow = size
     stack = np.empty(DEEPEST, np.int64)

@@ -88,9 +88,7 @@ def three_nearest_on_cpu(
         given, asked = point_parts or point_buckets(points), query_parts or point_buckets(queries)
         assert given is not None and asked is not None  # all are on a CPU
         reach = _usual_reach(given)
-        for_each_range(
-            lambda start, stop: _search(asked, given, reach, start, stop, indices, squared), len(asked.rows), each=5400
-        )
+        for_each_range(_search, len(asked.rows), 5400, asked, given, reach, indices, squared)
     return torch.from_numpy(indices), torch.from_numpy(squared)
 
 
@@ -118,7 +116,7 @@ def _usual_reach(points: Buckets) -> float:
 
 
 @compiled
-def _search(queries, points, usual, begin, end, indices, squared):  # type: ignore[no-untyped-def]
+def _search(begin, end, queries, points, usual, indices, squared):  # type: ignore[no-untyped-def]
     most = min(3, points.number)
     places, found = np.empty(points.number, np.int32), np.empty(len(points.rows), np.int64)
     rows, at = np.empty(points.number, np.int32), np.empty((3, points.number), np.float32)

@@ -75,13 +75,11 @@ def jaw_profile(
     found = np.zeros(count, np.bool_)
     sizes = np.array([gripper.width, gripper.depth, gripper.height / 2, gripper.thickness, margin, patch])
 
-    def run(start: int, stop: int) -> None:
-        _profile(
-            rotation, translation, sizes, grid.points, normals, observed, grid.start, grid.origin, grid.shape,
-            grid.cell, start, stop, found, out,
-        )  # fmt: skip
-
-    for_each_range(run, count, each=2000)
+    for_each_range(
+        _profile, count, 2000,
+        rotation, translation, sizes, grid.points, normals, observed, grid.start, grid.origin, grid.shape, grid.cell,
+        found, out,
+    )  # fmt: skip
     return JawProfile(found, *np.ascontiguousarray(out.T))
 
 
@@ -176,7 +174,7 @@ def _contact(ys, xs, cosines, seen, n, limit, sign, patch):  # type: ignore[no-u
 
 @compiled
 def _profile(  # type: ignore[no-untyped-def]
-    rotation, translation, sizes, points, normals, observed, starts, origin, shape, cell, begin, end, found, out
+    begin, end, rotation, translation, sizes, points, normals, observed, starts, origin, shape, cell, found, out
 ):
     width, _, _, thickness, margin, patch = sizes
     reach = width + thickness + 2 * margin

@@ -39,7 +39,7 @@ def local_planes(points: Array, radius: float) -> LocalPlanes:
     count = len(points)
     made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.int64))
     buckets, origin = _from_their_corner(points)
-    for_each_range(lambda a, z: _planes(buckets, origin, np.float32(radius), a, z, *made), len(buckets.rows), each=8500)
+    for_each_range(_planes, len(buckets.rows), 8500, buckets, origin, np.float32(radius), *made)
     return made
 
 
@@ -52,9 +52,7 @@ def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.N
         least: where the trace is less, the result is 0 [m2].
     """
     made = np.empty((buckets.number, 3, 3), np.float32)
-    for_each_range(
-        lambda a, z: _relative(buckets, np.float32(radius), np.float32(least), a, z, made), len(buckets.rows), each=6000
-    )
+    for_each_range(_relative, len(buckets.rows), 6000, buckets, np.float32(radius), np.float32(least), made)
     return made
 
 
@@ -68,7 +66,7 @@ def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array
 
 
 @compiled
-def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # type: ignore[no-untyped-def]
+def _planes(begin, end, buckets, origin, radius, mean, normal, neighbours):  # type: ignore[no-untyped-def]
     found, places, at = _room(buckets)
     sums = np.empty((19, SIZE), np.float32)
     axes = sums[10:]
@@ -88,7 +86,7 @@ def _planes(buckets, origin, radius, begin, end, mean, normal, neighbours):  # t
 
 
 @compiled
-def _relative(buckets, radius, least, begin, end, made):  # type: ignore[no-untyped-def]
+def _relative(begin, end, buckets, radius, least, made):  # type: ignore[no-untyped-def]
     found, places, at = _room(buckets)
     sums = np.empty((10, SIZE), np.float32)
     zero, one = np.float32(0.0), np.float32(1.0)

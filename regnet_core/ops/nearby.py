@@ -20,10 +20,8 @@ def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.boo
     grid = build_grid(np.asarray(points, np.float64), max(radius, _SMALLEST))
     at = np.ascontiguousarray(queries, np.float64)
 
-    def run(start: int, stop: int) -> None:
-        _search(at, radius, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, near)
-
-    for_each_range(run, len(at), each=35)
+    places = (grid.points, grid.start, grid.origin, grid.shape, grid.cell)
+    for_each_range(_search, len(at), 35, at, radius, *places, near)
     return near
 
 
@@ -41,15 +39,13 @@ def kth_distance(points: Array, queries: Array, k: int, usual: float, most: floa
     grid = build_grid(np.asarray(points, np.float64), usual)
     at = np.ascontiguousarray(queries, np.float64)
 
-    def run(start: int, stop: int) -> None:
-        _kth(at, k, usual, most, grid.points, grid.start, grid.origin, grid.shape, grid.cell, start, stop, distance)
-
-    for_each_range(run, len(at), each=3700)
+    places = (grid.points, grid.start, grid.origin, grid.shape, grid.cell)
+    for_each_range(_kth, len(at), 3700, at, k, usual, most, *places, distance)
     return distance
 
 
 @compiled
-def _kth(queries, k, usual, most, points, starts, origin, shape, cell, begin, end, distance):  # type: ignore[no-untyped-def]
+def _kth(begin, end, queries, k, usual, most, points, starts, origin, shape, cell, distance):  # type: ignore[no-untyped-def]
     nearest = np.empty(k)
     for q in range(begin, end):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
@@ -82,7 +78,7 @@ def _kth(queries, k, usual, most, points, starts, origin, shape, cell, begin, en
 
 
 @compiled
-def _search(queries, radius, points, starts, origin, shape, cell, begin, end, near):  # type: ignore[no-untyped-def]
+def _search(begin, end, queries, radius, points, starts, origin, shape, cell, near):  # type: ignore[no-untyped-def]
     for q in range(begin, end):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])

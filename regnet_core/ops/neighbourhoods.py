@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.parallel import for_each_range
-
-Indices = npt.NDArray[np.int64]
 
 
 class Neighbourhoods(NamedTuple):
@@ -66,10 +63,8 @@ def offsets_from_centres(
     where, middle, out = points.contiguous().numpy(), centres.contiguous().numpy(), offsets.numpy()
     rows, bounds = near.indices.numpy(), near.offsets.numpy()
 
-    def run(start: int, stop: int) -> None:
-        _look(where, middle, np.float32(unit), rows, bounds, start, stop, out)
-
-    for_each_range(run, len(middle), each=3 * len(rows) / max(len(middle), 1))
+    each = 3 * len(rows) / max(len(middle), 1)
+    for_each_range(_look, len(middle), each, where, middle, np.float32(unit), rows, bounds, out)
     return offsets
 
 
@@ -89,24 +84,24 @@ def joined(parts: Sequence[Neighbourhoods], first_points: Sequence[int]) -> Neig
     return Neighbourhoods(indices, offsets)
 
 
-def collect(
-    search: Callable[[int, int, Indices, npt.NDArray[Any]], None], count: int, most: int, each: float
-) -> Neighbourhoods:
+def collect(search: Callable[..., None], count: int, most: int, each: float, *arguments: object) -> Neighbourhoods:
     """Run a compiled search over all centres and close the gaps that it leaves.
 
     Args:
-        search: called with a range of centres, fills ``found`` (C, most) and ``counts`` (C,) for them.
+        search: ``search(begin, end, *arguments, counts, found)`` fills ``found`` (C, most), int32, and ``counts`` (C,)
+            for a range of centres.
         count: C.
         most: K, the most neighbours of a centre.
         each: about how long the search takes for a centre [ns].
+        arguments: what the search is given.
     """
     found = np.empty((count, most), np.int32)
     counts = np.zeros(count, np.int64)
-    for_each_range(lambda start, stop: search(start, stop, counts, found), count, each)
+    for_each_range(search, count, each, *arguments, counts, found)
     offsets = np.zeros(count + 1, np.int64)
     np.cumsum(counts, out=offsets[1:])
     indices = np.empty(offsets[-1], np.int64)
-    for_each_range(lambda start, stop: _compact(found, offsets, start, stop, indices), count, each=most)
+    for_each_range(_compact, count, most, found, offsets, indices)
     return Neighbourhoods(torch.from_numpy(indices), torch.from_numpy(offsets))
 
 
@@ -148,14 +143,14 @@ def keep_first(near, n, centre, counts, found):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _compact(found, offsets, begin, end, indices):  # type: ignore[no-untyped-def]
+def _compact(begin, end, found, offsets, indices):  # type: ignore[no-untyped-def]
     for c in range(begin, end):
         for i in range(offsets[c + 1] - offsets[c]):
             indices[offsets[c] + i] = found[c, i]
 
 
 @compiled
-def _look(points, centres, unit, indices, offsets, begin, end, out):  # type: ignore[no-untyped-def]
+def _look(begin, end, points, centres, unit, indices, offsets, out):  # type: ignore[no-untyped-def]
     for c in range(begin, end):
         x, y, z = centres[c, 0], centres[c, 1], centres[c, 2]
         for e in range(offsets[c], offsets[c + 1]):

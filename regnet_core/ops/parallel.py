@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from threading import Lock, local
-from typing import TypeVar
 
-_WORTH = 300_000
-"""A piece of work that takes so long is worth waking a thread for [ns]: that takes a tenth of a millisecond on virtual
-machines, and two cores that share their units work at two thirds of their speed each."""
-Result = TypeVar("Result")
+from regnet_core.ops.team import Team, can_have_teams, shared
+
+_WORTH = 10_000
+"""A piece of work that takes so long is worth a core's while [ns]: members of a team are at it within a microsecond or
+two where they have just had something to do."""
 _limit: int | None = None
 _thread = local()
 """What is said of the thread that asks."""
 _under_way, _counting = 0, Lock()
 """How many computations share the cores now."""
+_idle: list[Team] = []
+"""Teams that have nothing to do."""
 
 
 def use_cores(count: int) -> None:
     """Use at most so many cores from now on; for processes that share a machine."""
     global _limit
     _limit = count
+    while _idle:
+        _idle.pop().end()
     _forget()
 
 
@@ -39,13 +42,8 @@ def _cores_of_the_process() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(available_cores(), thread_name_prefix="regnet-ops")
-
-
 def _forget() -> None:
-    _pool.cache_clear()
+    _idle.clear()
     available_cores.cache_clear()
 
 
@@ -55,8 +53,7 @@ def _nothing_under_way() -> None:
 
 
 def forget_at_fork(forget: Callable[[], None]) -> None:
-    """Call this in every forked process: it inherits a pool but not its threads, and work given to it would wait for
-    ever."""
+    """Call this in every forked process: it inherits a pool or a team but not its threads."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=forget)
 
@@ -96,47 +93,36 @@ def _own_cores() -> int:
     return max(available_cores() // max(_under_way, 1), 1)
 
 
-def for_each_range(kernel: Callable[[int, int], None], count: int, each: float) -> None:
-    """Call ``kernel(start, stop)`` for ranges that together cover ``range(count)``.
+def for_each_range(loop: Callable[..., None], count: int, each: float, *arguments: object) -> None:
+    """Do all turns of a compiled loop: ``loop(start, stop, *arguments)`` for ranges that together cover
+    ``range(count)``, on the cores that this thread may use.
 
     Args:
-        kernel: a compiled loop.
-        count: of items.
-        each: about how long an item takes on one core [ns]; what is done sooner than others can be asked is not split.
-
-    The kernels release the GIL and write to disjoint parts of their outputs, so that the result does not depend on how
-    many threads there are. Plain threads are used because numba's own thread layers may not be entered from several
-    threads at a time, which the callbacks of a ROS executor do. The caller works too: to wake a thread that sleeps
-    takes about as long as a small piece of the work.
+        loop: what ``compiled`` has made.
+        count: of turns.
+        each: about how long a turn takes on one core [ns].
+        arguments: what numba can hand over; ranges write to disjoint parts of them, so that the result does not depend
+            on how many threads there are.
     """
     cores = _own_cores()
     pieces = min(cores * 4, count, int(count * each / _WORTH))
-    if pieces <= 1 or cores == 1:
-        kernel(0, count)
+    if pieces <= 1 or cores == 1 or not can_have_teams():
+        loop(0, count, *arguments)
         return
-    bounds = [count * i // pieces for i in range(pieces + 1)]
-    left = iter(range(pieces))  # shared: each number is given out once
-
-    def work() -> None:
-        for i in left:
-            kernel(bounds[i], bounds[i + 1])
-
-    helpers = [_pool().submit(work) for _ in range(min(cores, pieces) - 1)]
+    team = _take_team()
     try:
-        work()
+        done = team.run(_shared(loop), count, pieces, cores - 1, arguments)
     finally:
-        for helper in helpers:
-            if not helper.cancel():  # one that has not begun is not needed any more
-                helper.result()
+        _idle.append(team)
+    if not done:
+        loop(0, count, *arguments)  # raises what was raised in a thread that nobody asks
 
 
-def beside(work: Callable[[], Result]) -> Callable[[], Result]:
-    """Have work done on another core from now on -> what waits for it and gives its result, or raises its error, each
-    time that it is called. Where there is one core for this thread, the work is done at once, and an error raised at
-    once.
-    """
-    if _own_cores() == 1:
-        done = work()
-        return lambda: done
+def _take_team() -> Team:
+    try:
+        return _idle.pop()
+    except IndexError:
+        return Team(available_cores() - 1)
 
-    return _pool().submit(work).result
+
+_shared = cache(shared)

@@ -35,7 +35,7 @@ def _largest_of(values: torch.Tensor, neighbours: Neighbourhoods) -> torch.Tenso
     source, target = as_array(values), as_array(top)
     rows, bounds = neighbours.indices.numpy(), neighbours.offsets.numpy()
     each = 0.1 * len(rows) * values.shape[1] / max(len(top), 1)
-    for_each_range(lambda start, stop: _gather_largest(source, rows, bounds, start, stop, target), len(top), each)
+    for_each_range(_gather_largest, len(top), each, source, rows, bounds, target)
     return top
 
 
@@ -55,11 +55,7 @@ def rectified_segment_max(values: torch.Tensor, offsets: torch.Tensor) -> torch.
         return torch.relu_(segment_max(values, offsets))
     top = values.new_zeros((len(offsets) - 1, values.shape[1]))
     source, target, bounds = as_array(values), as_array(top), offsets.numpy()
-    for_each_range(
-        lambda start, stop: _raise(source, bounds, start, stop, target),
-        len(top),
-        0.1 * values.numel() / max(len(top), 1),
-    )
+    for_each_range(_raise, len(top), 0.1 * values.numel() / max(len(top), 1), source, bounds, target)
     return top
 
 
@@ -103,12 +99,9 @@ class _SegmentMax(torch.autograd.Function):
         index = np.zeros(0, np.int64) if indices is None else indices.numpy()
         bounds, chosen = offsets.numpy(), rows.numpy()
         kernel = _max_of_bits if values.dtype == torch.bfloat16 else _max_of_floats
-
-        def run(start: int, stop: int) -> None:
-            kernel(source, index, indices is not None, bounds, start, stop, target, chosen)
-
         rows_of_all = len(values) if indices is None else len(indices)
-        for_each_range(run, segments, each=0.2 * rows_of_all * channels / max(segments, 1))
+        each = 0.2 * rows_of_all * channels / max(segments, 1)
+        for_each_range(kernel, segments, each, source, index, indices is not None, bounds, target, chosen)
         ctx.save_for_backward(rows)
         ctx.shape, ctx.shared = values.shape, indices is not None
         return top
@@ -124,7 +117,7 @@ def _backward_of_own(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch.Si
     """Each row belongs to one segment: what reaches it is copied."""
     total = torch.zeros(shape, dtype=grad.dtype)
     source, target = as_array(grad), as_array(total)
-    for_each_range(lambda start, stop: _copy_back(source, rows, start, stop, target), len(rows), each=1.0 * shape[1])
+    for_each_range(_copy_back, len(rows), 1.0 * shape[1], source, rows, target)
     return total
 
 
@@ -132,12 +125,12 @@ def _backward_of_shared(grad: torch.Tensor, rows: npt.NDArray[Any], shape: torch
     """A row may be the largest of several segments: what reaches it is added up, split by channels."""
     total = torch.zeros(shape, dtype=torch.float32)
     source, target = grad.float().contiguous().numpy(), total.numpy()
-    for_each_range(lambda start, stop: _add_back(source, rows, start, stop, target), shape[1], each=1.0 * len(rows))
+    for_each_range(_add_back, shape[1], 1.0 * len(rows), source, rows, target)
     return total.to(grad.dtype)
 
 
 @compiled
-def _max_of_floats(values, indices, gathered, offsets, begin, end, top, rows):  # type: ignore[no-untyped-def]
+def _max_of_floats(begin, end, values, indices, gathered, offsets, top, rows):  # type: ignore[no-untyped-def]
     channels = values.shape[1]
     for s in range(begin, end):
         first, last = offsets[s], offsets[s + 1]
@@ -160,7 +153,7 @@ def _max_of_floats(values, indices, gathered, offsets, begin, end, top, rows):  
 
 
 @compiled
-def _max_of_bits(values, indices, gathered, offsets, begin, end, top, rows):  # type: ignore[no-untyped-def]
+def _max_of_bits(begin, end, values, indices, gathered, offsets, top, rows):  # type: ignore[no-untyped-def]
     """The same for the bits of bfloat16: those of negative numbers sort backwards as integers, all but the sign."""
     channels = values.shape[1]
     for s in range(begin, end):
@@ -189,7 +182,7 @@ def _max_of_bits(values, indices, gathered, offsets, begin, end, top, rows):  # 
 
 
 @compiled
-def _gather_largest(values, rows, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+def _gather_largest(begin, end, values, rows, offsets, top):  # type: ignore[no-untyped-def]
     for s in range(begin, end):
         first, last, own = offsets[s], offsets[s + 1], top[s]
         if first == last:
@@ -203,7 +196,7 @@ def _gather_largest(values, rows, offsets, begin, end, top):  # type: ignore[no-
 
 
 @compiled
-def _raise(values, offsets, begin, end, top):  # type: ignore[no-untyped-def]
+def _raise(begin, end, values, offsets, top):  # type: ignore[no-untyped-def]
     """Raise ``top``, which is nowhere below 0, to the largest values; bits of bfloat16 above 0 sort like integers."""
     for s in range(begin, end):
         for e in range(offsets[s], offsets[s + 1]):
@@ -212,7 +205,7 @@ def _raise(values, offsets, begin, end, top):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _copy_back(grad, rows, begin, end, total):  # type: ignore[no-untyped-def]
+def _copy_back(begin, end, grad, rows, total):  # type: ignore[no-untyped-def]
     for s in range(begin, end):
         if rows[s, 0] >= 0:
             for c in range(grad.shape[1]):
@@ -220,8 +213,8 @@ def _copy_back(grad, rows, begin, end, total):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _add_back(grad, rows, low, high, total):  # type: ignore[no-untyped-def]
+def _add_back(begin, end, grad, rows, total):  # type: ignore[no-untyped-def]
     for s in range(len(rows)):
         if rows[s, 0] >= 0:
-            for c in range(low, high):
+            for c in range(begin, end):
                 total[rows[s, c], c] += grad[s, c]

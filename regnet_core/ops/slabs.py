@@ -25,11 +25,7 @@ def slab_counts(points: Array, normals: Array, offsets: Array, tolerance: float)
     """How many of the points (N, 3) are nearer than ``tolerance`` [m] to each plane ``normals @ x = offsets``, (P,)."""
     x, y, z = (np.ascontiguousarray(column) for column in points.T)
     counts = np.zeros(len(normals), np.int64)
-    for_each_range(
-        lambda start, stop: _count(x, y, z, normals, offsets, tolerance, start, stop, counts),
-        len(normals),
-        each=len(x) / 3,
-    )
+    for_each_range(_count, len(normals), len(x) / 3, x, y, z, normals, offsets, tolerance, counts)
     return counts
 
 
@@ -58,7 +54,7 @@ def planes_of_triples(a: Array, b: Array, c: Array, least_cosine: float, shortes
 
 
 @compiled
-def _count(x, y, z, normals, offsets, tolerance, begin, end, counts):  # type: ignore[no-untyped-def]
+def _count(begin, end, x, y, z, normals, offsets, tolerance, counts):  # type: ignore[no-untyped-def]
     for p in range(begin, end):
         a, b, c, d = normals[p, 0], normals[p, 1], normals[p, 2], offsets[p]
         n = 0

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,6 +14,7 @@ from regnet_core.collision import SceneCollision
 from regnet_core.ops import compiled, parallel
 from regnet_core.ops.jaw_profile import JawProfile, jaw_profile
 from regnet_core.ops.local_planes import local_planes
+from regnet_core.ops.team import Team
 from regnet_core.ops.voxel_grid import build_grid
 
 RNG = np.random.default_rng(0)
@@ -36,14 +37,23 @@ def assert_same(a: list[np.ndarray], b: list[np.ndarray]) -> None:
         np.testing.assert_array_equal(x, y)
 
 
-@pytest.mark.parametrize("cores", [1, 2, 7])
-def test_the_result_does_not_depend_on_the_number_of_cores(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = every_kernel()
+@pytest.fixture
+def cores(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """So many cores, as far as loops know, and teams of their own."""
+    teams: list[Team] = []
+    monkeypatch.setattr(parallel, "available_cores", lambda: request.param)
+    monkeypatch.setattr(parallel, "_idle", teams)
+    yield request.param
+    for team in teams:
+        team.end()
+
+
+@pytest.mark.parametrize("cores", [1, 2, 7], indirect=True)
+def test_the_result_does_not_depend_on_the_number_of_cores(cores: int) -> None:
+    with parallel.on_one_core():
+        expected = every_kernel()
     assert expected[0].any() and expected[-2].any()
-    with ThreadPoolExecutor(cores) as pool:
-        monkeypatch.setattr(parallel, "available_cores", lambda: cores)
-        monkeypatch.setattr(parallel, "_pool", lambda: pool)
-        assert_same(every_kernel(), expected)
+    assert_same(every_kernel(), expected)
 
 
 def test_several_threads_may_call_at_a_time() -> None:
@@ -53,76 +63,58 @@ def test_several_threads_may_call_at_a_time() -> None:
             assert_same(result.result(timeout=60), expected)
 
 
-@pytest.mark.parametrize("cores", [1, 3])
-def test_work_beside_others_gives_its_result_and_its_errors(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    def wrong() -> None:
-        raise ValueError("of the work")
-
-    with ThreadPoolExecutor(cores) as pool:
-        monkeypatch.setattr(parallel, "available_cores", lambda: cores)
-        monkeypatch.setattr(parallel, "_pool", lambda: pool)
-        thread = parallel.beside(threading.current_thread)
-        assert thread() is thread() and (thread() is threading.current_thread()) == (cores == 1)
-        # Work beside others that uses all cores itself, more of it than there are threads.
-        results = [parallel.beside(every_kernel) for _ in range(5)]
-        for result in results:
-            assert_same(result(), every_kernel())
-        with pytest.raises(ValueError, match="of the work"):
-            parallel.beside(wrong)()
-
-
 def finished(script: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, timeout=120)
 
 
-@pytest.mark.parametrize(("count", "each", "ranges"), [(1000, 1e5, 8), (3, 1e9, 3), (1000, 100.0, 1), (0, 1e9, 1)])
-def test_work_is_split_where_that_pays(count: int, each: float, ranges: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        monkeypatch.setattr(parallel, "available_cores", lambda: 2)
-        monkeypatch.setattr(parallel, "_pool", lambda: pool)
-        done: list[tuple[int, int]] = []
-        parallel.for_each_range(lambda start, stop: done.append((start, stop)), count, each)
-    assert len(done) == ranges
-    assert sorted(i for start, stop in done for i in range(start, stop)) == list(range(count))
+@compiled.compiled
+def note(start, stop, begun):  # type: ignore[no-untyped-def]
+    """Write where each turn's range began."""
+    for i in range(start, stop):
+        begun[i] = start
 
 
-def test_computations_side_by_side_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    def ranges() -> int:
-        done: list[int] = []
-        parallel.for_each_range(lambda start, stop: done.append(stop - start), 1000, 1e5)
-        return len(done)
+def ranges(count: int, each: float) -> int:
+    begun = np.full(count, -1)
+    parallel.for_each_range(note, count, each, begun)
+    assert (begun >= 0).all()
+    return len(np.unique(begun))
 
-    with ThreadPoolExecutor(4) as pool:
-        monkeypatch.setattr(parallel, "available_cores", lambda: 4)
-        monkeypatch.setattr(parallel, "_pool", lambda: pool)
-        with parallel.sharing_cores():
-            assert ranges() == 16
-            with parallel.sharing_cores():  # as another thread would
-                assert ranges() == 8
-                with parallel.sharing_cores():
-                    assert ranges() == 1
-                    assert parallel.beside(threading.current_thread)() is threading.current_thread()
-            assert ranges() == 16
+
+@pytest.mark.parametrize("cores", [2], indirect=True)
+@pytest.mark.parametrize(("count", "each", "expected"), [(1000, 1e5, 8), (3, 1e9, 3), (1000, 10.0, 1), (0, 1e9, 0)])
+def test_work_is_split_where_that_pays(count: int, each: float, expected: int, cores: int) -> None:
+    assert ranges(count, each) == expected
+
+
+@pytest.mark.parametrize("cores", [4], indirect=True)
+def test_computations_side_by_side_share_the_cores(cores: int) -> None:
+    with parallel.sharing_cores():
+        assert ranges(1000, 1e5) == 16
+        with parallel.sharing_cores():  # as another thread would
+            assert ranges(1000, 1e5) == 8
+            with parallel.sharing_cores():
+                assert ranges(1000, 1e5) == 1
+        assert ranges(1000, 1e5) == 16
 
 
 def test_a_forked_process_can_go_on_working() -> None:
     script = """
 import os, signal
-from regnet_core.ops.parallel import for_each_range
-done = []
+import numpy as np
+from regnet_core.ops.local_planes import local_planes
+points = np.random.default_rng(0).random((5000, 3))
 def work():
-    done.clear()
-    for_each_range(lambda start, stop: done.append(stop - start), 5000, each=1e5)
-    return sum(done)
-assert work() == 5000
+    return int(local_planes(points, 0.1).neighbours.sum())
+before = work()
 child = os.fork()
 if child == 0:
     signal.alarm(20)
-    os._exit(0 if work() == 5000 else 1)
-print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), work())
+    os._exit(0 if work() == before else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), work() == before)
 """
     result = finished(script)
-    assert (result.stdout, result.stderr) == ("0 5000\n", "")
+    assert (result.stdout, result.stderr) == ("0 True\n", "")
 
 
 def test_without_a_place_for_the_cache_functions_are_compiled_all_the_same() -> None:

@@ -49,7 +49,7 @@ def test_a_known_viewpoint_orients_the_normals_too() -> None:
     assert scene.objects.observed.all()
 
 
-def test_what_was_seen_comes_first_and_the_rest_does_not_depend_on_who_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_seen_comes_first_and_nothing_depends_on_the_number_of_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     points = shapes.single_view(shapes.box(0.06, 0.10, 0.12))
     scene, recorder = prepare(points)
     seen = len(scene.seen)

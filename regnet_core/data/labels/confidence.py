@@ -46,15 +46,13 @@ def point_confidence(points: npt.ArrayLike, entry_points: npt.ArrayLike, weighte
     if len(grid.points) and len(at):
         scores = np.ascontiguousarray(np.asarray(weighted_scores, np.float64)[grid.order])
 
-        def run(start: int, stop: int) -> None:
-            _sum(at, grid.points, scores, grid.start, grid.origin, grid.shape, grid.cell, start, stop, total)
-
-        for_each_range(run, len(at), each=800)
+        places = (grid.start, grid.origin, grid.shape, grid.cell)
+        for_each_range(_sum, len(at), 800, at, grid.points, scores, *places, total)
     return np.tanh(total)
 
 
 @compiled
-def _sum(at, points, scores, starts, origin, shape, cell, begin, end, total):  # type: ignore[no-untyped-def]
+def _sum(begin, end, at, points, scores, starts, origin, shape, cell, total):  # type: ignore[no-untyped-def]
     for n in range(begin, end):
         x, y, z = at[n]
         i0, i1 = cell_range(x - D_TH, x + D_TH, origin[0], cell, shape[0])
