@@ -26,7 +26,7 @@ from regnet_core.ops.bytes import (
     bytes_of_sum,
     floats_of_rows,
     floats_of_sum,
-    largest_bytes,
+    largest_of_sum,
 )
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ class ByteLayers:
 
     def __post_init__(self) -> None:
         self._parts: dict[tuple[int | None, int | None, bool], Layers] = {}
+        self._last_unit = self.last_range.detach() / 255.0
 
     @classmethod
     def of(cls, layers: Sequence[DenseLayer], pooled: bool) -> ByteLayers:
@@ -116,7 +117,7 @@ class ByteLayers:
     def pooled(self, product: Sum, offsets: torch.Tensor) -> torch.Tensor:
         """(S, C_out) float32: the maximum in each segment (S + 1,) of what the first layer comes to before its
         rectifier, after all layers; 0 in empty ones."""
-        return largest_bytes(product, self.after_first, len(self.last_range), offsets) * (self.last_range / 255.0)
+        return largest_of_sum(product, self.after_first, self._last_unit, offsets)
 
     @property
     def _is_one(self) -> bool:

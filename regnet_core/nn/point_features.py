@@ -11,6 +11,7 @@ from collections.abc import Callable
 import torch
 
 from regnet_core.nn.backbone import Backbone, Coarse
+from regnet_core.ops.arrays import put_rows
 from regnet_core.ops.neighbourhoods import newly_marked
 
 Carry = Callable[[torch.Tensor], torch.Tensor | None]
@@ -58,4 +59,6 @@ class PointFeatures:
 
 def _put(room: torch.Tensor, rows: torch.Tensor, found: torch.Tensor) -> torch.Tensor:
     """Rows (n,) of ``room`` filled; its type becomes that of what is found."""
-    return room.to(found.dtype).index_copy_(0, rows, found)
+    room = room.to(found.dtype)
+    put_rows(room, rows, found)
+    return room

@@ -43,11 +43,6 @@ class Buckets(NamedTuple):
     number: int
     """N."""
 
-    def sides(self) -> npt.NDArray[np.float32]:
-        """(B, 3): of the buckets' boxes [m]."""
-        sides = self.boxes[:, 3:] - self.boxes[:, :3]
-        return sides.transpose(0, 2, 1).reshape(-1, 3)[: len(self.rows)]
-
 
 def in_buckets(points: npt.NDArray[np.float32]) -> Buckets:
     """Sort finite points (N, 3) [m] into buckets."""

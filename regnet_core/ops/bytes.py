@@ -87,6 +87,8 @@ class Layers(NamedTuple):
     """The same."""
     places: npt.NDArray[np.int64]
     """(L, 4): fours of inputs, blocks of columns, and where the layer's weights and columns begin."""
+    blocks: int
+    """Blocks of columns of the widest layer."""
 
     @classmethod
     def of(cls, layers: Sequence[Linear], *, to_floats: bool) -> Layers:
@@ -109,13 +111,8 @@ class Layers(NamedTuple):
             np.concatenate([np.zeros(0), *scales]).astype(np.float32),
             np.concatenate([np.zeros(0), *biases]).astype(np.float32),
             np.array(places, np.int64).reshape(-1, 4),
+            max((place[1] for place in places), default=0),
         )
-
-    def for_unit(self, unit: float) -> Layers:
-        """The same for rows of which a byte of 1 stands for ``unit`` rather than 1 / 255."""
-        scales, first = self.scales.copy(), self.places[0, 1] * COLUMNS
-        scales[:first] *= np.float32(unit * 255.0)
-        return self._replace(scales=scales)
 
 
 class _Source(NamedTuple):
@@ -145,20 +142,21 @@ class _Source(NamedTuple):
         return cls(start, bias, indices, values, shares, columns, weight)
 
 
-def largest_bytes(given: Sum, layers: Layers, outputs: int, offsets: torch.Tensor) -> torch.Tensor:
-    """The largest of each channel in each segment of what the layers make of a sum -> (S, outputs) uint8, 255 for 1.
+def largest_of_sum(given: Sum, layers: Layers, unit: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
+    """The largest of each channel in each segment of what the layers make of a sum -> (S, C_out) float32.
 
     Args:
         given: E rows.
         layers: any number, that give bytes.
-        outputs: channels of the last one; those of the sum without layers.
+        unit: (C_out,) float32, what a byte of 1 stands for in each channel of the last layer, or of the sum without
+            layers.
         offsets: (S + 1,) int64, from 0 to E. Empty segments have 0.
     """
     source, bounds = _Source.of(given), offsets.numpy()
-    top = torch.zeros((len(bounds) - 1, outputs), dtype=torch.uint8)
-    target, width = top.numpy(), _width(given.shape[1], layers)
-    each = _row_time(layers) * given.shape[0] / max(len(target), 1)
-    for_each_range(_largest, len(target), each, source, layers, width, bounds, target)
+    top = torch.empty((len(bounds) - 1, len(unit)))
+    each = _row_time(layers) * given.shape[0] / max(len(top), 1)
+    width = _width(given.shape[1], layers)
+    for_each_range(_largest, len(top), each, source, layers, width, bounds, unit.numpy(), top.numpy())
     return top
 
 
@@ -182,19 +180,28 @@ def bytes_of_sum(given: Sum) -> torch.Tensor:
 def floats_of_rows(rows: torch.Tensor, layers: Layers, outputs: int, *, rectified: bool) -> torch.Tensor:
     """What the layers, at least one, make of rows (E, C) float32, none of which is below 0 -> (E, outputs) float32."""
     source, count = _array(rows), len(rows)
-    largest = float(rows.amax()) if rows.numel() else 0.0
-    if not largest > 0.0:
-        largest = 1.0
-    layers, scale = layers.for_unit(largest / 255.0), np.float32(255.0 / largest)
+    most = np.zeros(_tiles(count), np.float32)
+    for_each_range(_most, len(most), _TILE * 0.05 * rows.shape[1], source, most)
+    largest = float(most.max(initial=0.0)) or 1.0
     out, width = _floats(count, layers), _width(rows.shape[1], layers)
     least = np.float32(0.0) if rectified else _LOWEST
-    for_each_range(_floats_of_rows, _tiles(count), _TILE * _row_time(layers), source, scale, layers, width, least, out)
+    for_each_range(
+        _floats_of_rows,
+        _tiles(count),
+        _TILE * _row_time(layers),
+        source,
+        np.float32(largest),
+        layers,
+        width,
+        least,
+        out,
+    )
     return torch.from_numpy(out)[:count, :outputs]
 
 
 def _width(channels: int, layers: Layers) -> int:
     """Bytes of a row's room for what goes in and comes out of each layer."""
-    return COLUMNS * max(-(-channels // COLUMNS), int(layers.places[:, 1].max(initial=0)))
+    return COLUMNS * max(-(-channels // COLUMNS), layers.blocks)
 
 
 def _row_time(layers: Layers) -> float:
@@ -222,19 +229,39 @@ def _blocks(values: torch.Tensor) -> npt.NDArray[np.float32]:
 
 
 @compiled
-def _largest(begin, end, source, layers, width, offsets, top):  # type: ignore[no-untyped-def]
+def _most(begin, end, rows, most):  # type: ignore[no-untyped-def]
+    """The largest number of each tile, none of which is below 0."""
+    for tile in range(begin, end):
+        numbers = rows[tile * _TILE : (tile + 1) * _TILE].reshape(-1)
+        lanes, whole = np.zeros(COLUMNS, np.float32), len(numbers) // COLUMNS
+        for block in range(whole):
+            for c in range(COLUMNS):
+                value = numbers[block * COLUMNS + c]
+                lanes[c] = value if value > lanes[c] else lanes[c]
+        largest = lanes.max()
+        for e in range(whole * COLUMNS, len(numbers)):
+            largest = max(largest, numbers[e])
+        most[tile] = largest
+
+
+@compiled
+def _largest(begin, end, source, layers, width, offsets, unit, largest):  # type: ignore[no-untyped-def]
+    top = np.zeros((end - begin, len(unit)), np.uint8)
     one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
     segment, stop = begin, offsets[end]
     for first in range(offsets[begin], stop, _TILE):
         last = min(first + _TILE, stop)
         _sum(source, first, last, one)
-        made = _through(layers, len(layers.places), last - first, one, other)
+        made = _through(layers, layers.scales, len(layers.places), last - first, one, other)
         for e in range(last - first):
             while offsets[segment + 1] <= first + e:
                 segment += 1
-            largest, row = top[segment], made[e]
-            for c in range(len(largest)):
-                largest[c] = max(largest[c], row[c])
+            highest, row = top[segment - begin], made[e]
+            for c in range(len(highest)):
+                highest[c] = max(highest[c], row[c])
+    for s in range(len(top)):
+        for c in range(len(unit)):
+            largest[begin + s, c] = np.float32(top[s, c]) * unit[c]
 
 
 @compiled
@@ -244,8 +271,8 @@ def _floats_of_sum(begin, end, source, layers, width, count, out):  # type: igno
         first = tile * _TILE
         last = min(first + _TILE, count)
         _sum(source, first, last, one)
-        made = _through(layers, len(layers.places) - 1, last - first, one, other)
-        _end(layers, last - first, made, np.float32(0.0), out[first:])
+        made = _through(layers, layers.scales, len(layers.places) - 1, last - first, one, other)
+        _end(layers, layers.scales, last - first, made, np.float32(0.0), out[first:])
 
 
 @compiled
@@ -254,7 +281,11 @@ def _sums(begin, end, source, count, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _floats_of_rows(begin, end, rows, scale, layers, width, least, out):  # type: ignore[no-untyped-def]
+def _floats_of_rows(begin, end, rows, largest, layers, width, least, out):  # type: ignore[no-untyped-def]
+    scales, first_columns = layers.scales.copy(), layers.places[0, 1] * COLUMNS
+    for c in range(first_columns):  # a byte of 1 is largest / 255, not 1 / 255
+        scales[c] *= largest
+    scale = np.float32(255.0 / largest)
     one, other = np.empty((_TILE, width), np.uint8), np.empty((_TILE, width), np.uint8)
     half, most = np.float32(0.5), np.float32(255.0)
     for tile in range(begin, end):
@@ -265,34 +296,34 @@ def _floats_of_rows(begin, end, rows, scale, layers, width, least, out):  # type
             for c in range(len(row)):
                 scaled = row[c] * scale + half
                 taken[c] = np.uint8(np.int32(scaled if scaled < most else most))
-        made = _through(layers, len(layers.places) - 1, last - first, one, other)
-        _end(layers, last - first, made, least, out[first:])
+        made = _through(layers, scales, len(layers.places) - 1, last - first, one, other)
+        _end(layers, scales, last - first, made, least, out[first:])
 
 
 @compiled
-def _through(layers, count, rows, given, room):  # type: ignore[no-untyped-def]
+def _through(layers, scales, count, rows, given, room):  # type: ignore[no-untyped-def]
     """What the first layers make of rows in ``given``: in that array or in ``room``, which has as much of it."""
     for number in range(count):
-        _apply(layers, number, rows, given, np.float32(0.0), False, room.ctypes.data, room.shape[1])
+        _apply(layers, scales, number, rows, given, np.float32(0.0), False, room.ctypes.data, room.shape[1])
         given, room = room, given
     return given
 
 
 @compiled
-def _end(layers, rows, given, least, out):  # type: ignore[no-untyped-def]
+def _end(layers, scales, rows, given, least, out):  # type: ignore[no-untyped-def]
     """What the last layer makes of rows in ``given``, into the first rows of ``out``."""
-    _apply(layers, len(layers.places) - 1, rows, given, least, True, out.ctypes.data, 4 * out.shape[1])
+    _apply(layers, scales, len(layers.places) - 1, rows, given, least, True, out.ctypes.data, 4 * out.shape[1])
 
 
 @compiled
-def _apply(layers, number, rows, given, least, to_floats, out, out_stride):  # type: ignore[no-untyped-def]
+def _apply(layers, scales, number, rows, given, least, to_floats, out, out_stride):  # type: ignore[no-untyped-def]
     """A layer on rows in ``given``, to rows at the address ``out`` that are so many bytes apart."""
     fours, blocks, at, column = layers.places[number]
     stride, size = given.shape[1], 4 if to_floats else 1
     for part in range(blocks):
         weight = layers.weights.ctypes.data + at + part * fours * 4 * COLUMNS
         first = 4 * (column + part * COLUMNS)
-        scale, bias = layers.scales.ctypes.data + first, layers.biases.ctypes.data + first
+        scale, bias = scales.ctypes.data + first, layers.biases.ctypes.data + first
         for row in range(0, rows, ROWS):
             source = given.ctypes.data + row * stride
             target = out + row * out_stride + size * part * COLUMNS

@@ -9,7 +9,7 @@ import torch
 from torch.nn import functional
 
 from regnet_core.errors import InvalidInputError
-from regnet_core.ops.buckets import SIZE, Buckets, near_bucket, point_buckets
+from regnet_core.ops.buckets import GROUP, SIZE, Buckets, near_bucket, point_buckets
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.parallel import for_each_range
@@ -63,8 +63,17 @@ def three_nearest(
         indices, squared = three_nearest_on_gpu(points, queries)
     else:
         indices, squared = three_nearest_in_torch(points, queries)
+    return Interpolation(indices, _weights(squared))
+
+
+def _weights(squared: torch.Tensor) -> torch.Tensor:
+    """(Q, 3) float32 of squared distances (Q, 3) [m2]."""
+    if squared.device.type == "cpu" and squared.dtype == torch.float32:
+        weights = torch.empty_like(squared)
+        for_each_range(_weigh, len(squared), 5, squared.numpy(), weights.numpy())
+        return weights
     weights = 1.0 / squared.clamp(min=_CLOSEST)
-    return Interpolation(indices, (weights / weights.sum(dim=1, keepdim=True)).float())
+    return (weights / weights.sum(dim=1, keepdim=True)).float()
 
 
 def interpolate(features: torch.Tensor, how: Interpolation) -> torch.Tensor:
@@ -110,9 +119,34 @@ def three_nearest_in_torch(points: torch.Tensor, queries: torch.Tensor) -> tuple
 def _usual_reach(points: Buckets) -> float:
     """A radius within which most places among the points have three of them [m], from the buckets' sizes: on a surface,
     those of points that are evenly spread."""
-    sides = np.sort(points.sides(), axis=1)
-    spacing = np.maximum(np.sqrt(sides[:, 1] * sides[:, 2] / SIZE), sides[:, 2] / SIZE)
-    return max(1.3 * float(np.median(spacing)), 1e-4)
+    return max(1.3 * float(_spacing(points)), 1e-4)
+
+
+@compiled
+def _spacing(points):  # type: ignore[no-untyped-def]
+    spacing = np.empty(len(points.rows))
+    for b in range(len(spacing)):
+        corners, place = points.boxes[b // GROUP], b % GROUP
+        x, y, z = (
+            corners[3, place] - corners[0, place], corners[4, place] - corners[1, place],
+            corners[5, place] - corners[2, place],
+        )  # fmt: skip
+        longest = max(x, y, z)
+        middle = x + y + z - longest - min(x, y, z)
+        spacing[b] = max(np.sqrt(middle * longest / SIZE), longest / SIZE)
+    return np.median(spacing)
+
+
+@compiled
+def _weigh(begin, end, squared, weights):  # type: ignore[no-untyped-def]
+    least = np.float32(_CLOSEST)
+    for q in range(begin, end):
+        one, other, third = (
+            np.float32(1.0) / max(squared[q, 0], least), np.float32(1.0) / max(squared[q, 1], least),
+            np.float32(1.0) / max(squared[q, 2], least),
+        )  # fmt: skip
+        total = one + other + third
+        weights[q, 0], weights[q, 1], weights[q, 2] = one / total, other / total, third / total
 
 
 @compiled

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from regnet_core.geometry import Array
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.parallel import for_each_range
 from regnet_core.ops.voxel_grid import bounds
 
 _HASH = np.uint64(0x9E3779B97F4A7C15)
@@ -66,7 +67,7 @@ def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
     if not float(np.prod(shape)) < 2.0**62:
         return None
     numbers = np.empty(len(points), np.uint64)
-    _number(points, low, size, shape, numbers)
+    for_each_range(_number, len(points), 3, points, low, size, shape, numbers)
     rows, bits = np.empty(len(points) + 1, np.int64), max((2 * len(points) - 1).bit_length(), 1)
     table = np.full(1 << bits, _NONE, np.uint64)
     return rows[: _first(numbers, table, np.uint64(64 - bits), rows)]
@@ -90,13 +91,13 @@ def chosen_rows(draws: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.int
 def taken(points: Array, rows: npt.NDArray[np.int64]) -> Array:
     """(K, 3): rows (K,) of points (N, 3); several times faster than indexing."""
     result = np.empty((len(rows), 3))
-    _take(points, rows, result)
+    for_each_range(_take, len(rows), 2, points, rows, result)
     return result
 
 
 @compiled
-def _take(points, rows, result):  # type: ignore[no-untyped-def]
-    for i in range(len(rows)):
+def _take(begin, end, points, rows, result):  # type: ignore[no-untyped-def]
+    for i in range(begin, end):
         row = rows[i]
         result[i, 0], result[i, 1], result[i, 2] = points[row, 0], points[row, 1], points[row, 2]
 
@@ -155,9 +156,9 @@ def _moved(points, transform, largest, lower, upper, moved, rows):  # type: igno
 
 
 @compiled
-def _number(points, low, size, shape, numbers):  # type: ignore[no-untyped-def]
+def _number(begin, end, points, low, size, shape, numbers):  # type: ignore[no-untyped-def]
     x, y, z, across, deep = low[0], low[1], low[2], np.uint64(shape[1]), np.uint64(shape[2])
-    for p in range(len(points)):
+    for p in range(begin, end):
         i = np.uint64(np.int64(np.floor((points[p, 0] - x) / size)))
         j = np.uint64(np.int64(np.floor((points[p, 1] - y) / size)))
         k = np.uint64(np.int64(np.floor((points[p, 2] - z) / size)))

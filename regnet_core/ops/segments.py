@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from regnet_core.ops.arrays import as_array
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.neighbourhoods import Neighbourhoods
@@ -79,12 +80,6 @@ def _kernel_for(values: torch.Tensor) -> type[torch.autograd.Function] | None:
 def has_kernel(values: torch.Tensor) -> bool:
     """Whether compiled kernels for CPUs work on such values."""
     return values.device.type == "cpu" and values.dtype in (torch.float32, torch.bfloat16)
-
-
-def as_array(values: torch.Tensor) -> npt.NDArray[Any]:
-    """A view as numpy sees it; of bfloat16 the bits as int16."""
-    values = values.detach().contiguous()
-    return values.view(torch.int16).numpy() if values.dtype == torch.bfloat16 else values.numpy()
 
 
 class _SegmentMax(torch.autograd.Function):

@@ -11,6 +11,9 @@ from regnet_core.geometry import Array
 from regnet_core.ops.compiled import compiled, compiled_with_any_order
 from regnet_core.ops.parallel import for_each_range
 
+_BLOCKS = 16
+"""Sums of so many blocks are added up in the same order on any number of cores."""
+
 
 class Planes(NamedTuple):
     """normal . x = offset, each."""
@@ -34,7 +37,14 @@ def fitted_plane(points: Array, normal: Array, offset: float, tolerance: float, 
 
     Repeated at most ``rounds`` times, until as many points are near as before, or fewer than 10.
     """
-    normal, offset = _fitted(np.ascontiguousarray(points), np.asarray(normal, np.float64), offset, tolerance, rounds)
+    points, normal = np.ascontiguousarray(points), np.asarray(normal, np.float64)
+    sums, before = np.empty((_BLOCKS, 10)), -1.0
+    for _ in range(rounds):
+        given = (float(normal[0]), float(normal[1]), float(normal[2]), float(offset))
+        for_each_range(_sums, _BLOCKS, 1.1 * len(points) / _BLOCKS, points, given, tolerance, sums)
+        before, normal, offset = _fitted(sums, normal, offset, before)
+        if before < 0.0:
+            break
     return normal, float(offset)
 
 
@@ -64,50 +74,55 @@ def _count(begin, end, x, y, z, normals, offsets, tolerance, counts):  # type: i
 
 
 @compiled_with_any_order
-def _sums(points, a, b, c, d, tolerance):  # type: ignore[no-untyped-def]
-    n = 0.0
-    sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        near = 1.0 if abs(a * x + b * y + c * z - d) < tolerance else 0.0
-        x, y, z = near * (x - d * a), near * (y - d * b), near * (z - d * c)
-        n += near
-        sx += x
-        sy += y
-        sz += z
-        sxx += x * x
-        sxy += x * y
-        sxz += x * z
-        syy += y * y
-        syz += y * z
-        szz += z * z
-    return np.array([n, sx, sy, sz, sxx, sxy, sxz, syy, syz, szz])
+def _sums(begin, end, points, plane, tolerance, sums):  # type: ignore[no-untyped-def]
+    """Of blocks of points: how many are near, and the sums of x, y, z, xx, xy, xz, yy, yz, zz of those.
+
+    They are taken from the plane's point nearest to the origin: what is squared stays small.
+    """
+    a, b, c, d = plane
+    for block in range(begin, end):
+        n = 0.0
+        sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+        for i in range(len(points) * block // len(sums), len(points) * (block + 1) // len(sums)):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            near = 1.0 if abs(a * x + b * y + c * z - d) < tolerance else 0.0
+            x, y, z = near * (x - d * a), near * (y - d * b), near * (z - d * c)
+            n += near
+            sx += x
+            sy += y
+            sz += z
+            sxx += x * x
+            sxy += x * y
+            sxz += x * z
+            syy += y * y
+            syz += y * z
+            szz += z * z
+        sums[block, 0], sums[block, 1], sums[block, 2], sums[block, 3] = n, sx, sy, sz
+        sums[block, 4], sums[block, 5], sums[block, 6] = sxx, sxy, sxz
+        sums[block, 7], sums[block, 8], sums[block, 9] = syy, syz, szz
 
 
 @compiled
-def _fitted(points, normal, offset, tolerance, rounds):  # type: ignore[no-untyped-def]
-    before = -1.0
+def _fitted(blocks, normal, offset, before):  # type: ignore[no-untyped-def]
+    """How many points are near, and the better plane; -1 where there is none."""
+    sums = blocks.sum(axis=0)
+    count = sums[0]
+    if count < 10.0 or count == before:
+        return -1.0, normal, offset
+    shift = sums[1:4] / count
     covariance = np.empty((3, 3))
-    for _ in range(rounds):
-        sums = _sums(points, normal[0], normal[1], normal[2], offset, tolerance)
-        if sums[0] < 10.0 or sums[0] == before:
-            break
-        before = sums[0]
-        # Sums are taken from the plane's point nearest to the origin: what is squared stays small.
-        shift = sums[1:4] / before
-        for i in range(3):
-            for j in range(3):
-                low, high = min(i, j), max(i, j)
-                covariance[i, j] = sums[4 + low * (5 - low) // 2 + high] / before - shift[i] * shift[j]
-        axis = np.linalg.eigh(covariance)[1][:, 0]
-        if axis[2] < 0.0:
-            axis = -axis
-        elif axis[2] == 0.0:
-            break
-        near = offset * normal + shift
-        normal = axis.copy()
-        offset = normal[0] * near[0] + normal[1] * near[1] + normal[2] * near[2]
-    return normal, offset
+    for i in range(3):
+        for j in range(3):
+            low, high = min(i, j), max(i, j)
+            covariance[i, j] = sums[4 + low * (5 - low) // 2 + high] / count - shift[i] * shift[j]
+    axis = np.linalg.eigh(covariance)[1][:, 0]
+    if axis[2] == 0.0:
+        return -1.0, normal, offset
+    if axis[2] < 0.0:
+        axis = -axis
+    near = offset * normal + shift
+    better = axis.copy()
+    return count, better, better[0] * near[0] + better[1] * near[1] + better[2] * near[2]
 
 
 @compiled

@@ -19,7 +19,16 @@ from regnet_core.nn.int8 import rounded
 from regnet_core.nn.layers import DenseLayer, Mlp
 from regnet_core.nn.network import RegNet
 from regnet_core.nn.pooling import PooledMlp
-from regnet_core.ops.bytes import Gathered, Layers, Own, Sum, bytes_of_sum, floats_of_rows, floats_of_sum, largest_bytes
+from regnet_core.ops.bytes import (
+    Gathered,
+    Layers,
+    Own,
+    Sum,
+    bytes_of_sum,
+    floats_of_rows,
+    floats_of_sum,
+    largest_of_sum,
+)
 from regnet_core.ops.neighbourhoods import Neighbourhoods
 from regnet_core.weights import weights_file
 
@@ -73,12 +82,12 @@ def largest(made: torch.Tensor, offsets: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.cat([none, made[a:z]]).amax(0) for a, z in pairwise(offsets.tolist())])
 
 
-def test_largest_bytes_of_segments() -> None:
+def test_largest_of_segments() -> None:
     rows = torch.tensor([[1.0, 200.0], [3.0, 100.0], [255.0, 0.0], [0.0, 7.0]]) / 255.0
     none = Layers.of([], to_floats=False)
     offsets = torch.tensor([0, 2, 2, 4])
-    assert largest_bytes(Sum(rows=rows), none, 2, offsets).tolist() == [[3, 200], [0, 0], [255, 7]]
-    assert largest_bytes(Sum(rows=rows[:0]), none, 2, torch.zeros(1, dtype=torch.int64)).shape == (0, 2)
+    assert largest_of_sum(Sum(rows=rows), none, torch.ones(2), offsets).tolist() == [[3, 200], [0, 0], [255, 7]]
+    assert largest_of_sum(Sum(rows=rows[:0]), none, torch.ones(2), torch.zeros(1, dtype=torch.int64)).shape == (0, 2)
 
 
 def whole(outputs: int, inputs: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -112,7 +121,7 @@ def test_bytes_between_layers_are_rounded() -> None:
     expected = ((between @ second.t() + bias) * 255.0).clamp(0.0, 255.0)
     offsets = torch.tensor([0, 0, 7, 300, 301, 1000])
     layers = Layers.of([rounded(first, added), rounded(second, bias)], to_floats=False)
-    found = largest_bytes(Sum(rows=given), layers, 20, offsets)
+    found = largest_of_sum(Sum(rows=given), layers, torch.ones(20), offsets)
     assert found.max() == 255 and (found[1:] > 0).any() and (found[0] == 0).all()
     assert (found.float() - largest(expected, offsets)).abs().max() < 0.6  # where a sum is just on an edge
 
