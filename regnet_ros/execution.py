@@ -11,9 +11,10 @@ from action_msgs.msg import GoalStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from regnet_msgs.action import ExecuteGrasp
-from regnet_msgs.msg import GraspArray, SelectedGrasp
+from regnet_msgs.msg import SelectedGrasp
 
 from regnet_core.grasps import Grasps
+from regnet_ros.conversions import GraspList
 from regnet_ros.spinning import DestroyableActionClient
 
 ACTION = "execute_grasp"
@@ -28,7 +29,7 @@ _ASK_EVERY = 2.0
 class Candidates(NamedTuple):
     """The grasps to select from."""
 
-    message: GraspArray
+    message: GraspList
     grasps: Grasps
     """Those of the message, in the same order."""
 

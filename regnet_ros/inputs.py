@@ -52,7 +52,9 @@ class SensorInput:
         callback: Callable[[Any], None],
         group: CallbackGroup,
         reliability: str,
+        serialized: bool = False,
     ) -> None:
+        self._serialized = serialized
         self._node, self._kind, self._topic = node, kind, topic
         self._callback, self._group = callback, group
         self._adapts = reliability == "auto"
@@ -94,6 +96,7 @@ class SensorInput:
             self._callback,
             QoSProfile(depth=_DEPTH, reliability=reliability),
             callback_group=self._group,
+            raw=self._serialized,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible) if watch else None,
         )
 

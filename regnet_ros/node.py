@@ -147,9 +147,11 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         self._undo.append(lambda: self.destroy_lifecycle_publisher(publisher))
         return publisher
 
-    def add_input(self, kind: type, topic: str, reliability: str) -> SensorInput:
-        """A subscription whose newest message is worked on, until cleanup."""
-        subscription = SensorInput(self, kind, topic, self._guarded(self.receive), self.input_group, reliability)
+    def add_input(self, kind: type, topic: str, reliability: str, *, serialized: bool = False) -> SensorInput:
+        """A subscription whose newest message is worked on, as bytes where ``serialized``, until cleanup."""
+        subscription = SensorInput(
+            self, kind, topic, self._guarded(self.receive), self.input_group, reliability, serialized
+        )
         self._inputs.append(subscription)
         self._undo.append(lambda: self._inputs.remove(subscription))
         self._undo.append(subscription.destroy)

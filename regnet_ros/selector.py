@@ -15,8 +15,8 @@ from visualization_msgs.msg import MarkerArray
 from regnet_core.errors import InvalidInputError
 from regnet_core.policy import Policy, select
 from regnet_ros.conversions import (
+    GraspList,
     GraspMessageError,
-    grasps_from_messages,
     gripper_from_message,
     pose_stamped,
     selected_grasp,
@@ -49,7 +49,7 @@ class Selector(GraspNode[SelectorParameters]):
             self, self.service_group, self._may_execute, self._choose_again, self._executed, self.fail
         )
         self.at_cleanup(self._release)
-        source = self.add_input(GraspArray, "grasps", "reliable")
+        source = self.add_input(GraspArray, "grasps", "reliable", serialized=True)
         self.health.awaits = lambda: f"grasps on {source.description}"
 
     def settings_changed(self, old: SelectorParameters) -> None:
@@ -62,10 +62,10 @@ class Selector(GraspNode[SelectorParameters]):
         if self._execution is not None:
             self._execution.stop()
 
-    def work(self, item: GraspArray) -> None:
-        """Select from one array."""
+    def work(self, item: bytes) -> None:
+        """Select from one array, which is serialized."""
         settings, start = self.settings, time.perf_counter()
-        self._last = candidates = _candidates(item)
+        self._last = candidates = _candidates(GraspList.of_serialized(item))
         converted = time.perf_counter()
         assert self._execution is not None
         counts = {"grasps": len(candidates.grasps)}
@@ -79,7 +79,7 @@ class Selector(GraspNode[SelectorParameters]):
             if settings.execute:
                 self._execution.start(candidates, selected, settings.max_attempts)
         else:
-            self._marker.publish(no_markers(item.header))
+            self._marker.publish(no_markers(candidates.message.header))
         end = time.perf_counter()
         reason = "" if selected is not None else self._why_none(candidates, frozenset())
         self.done(
@@ -119,7 +119,7 @@ class Selector(GraspNode[SelectorParameters]):
     def _on_select(self, request: SelectGrasp.Request, response: SelectGrasp.Response) -> SelectGrasp.Response:
         excluded = frozenset(int(rank) for rank in request.rejected_ranks)
         try:
-            candidates = _candidates(request.grasps) if request.grasps.grasps else self._last
+            candidates = _candidates(GraspList.of_message(request.grasps)) if request.grasps.grasps else self._last
             policy = self.settings.make_policy(request.policy or self.settings.policy)
             if not self.active:
                 response.message = f"the selector is {self.state_label}; it answers once it is activated"
@@ -161,13 +161,13 @@ class Selector(GraspNode[SelectorParameters]):
             self._execution = None
 
 
-def _candidates(message: GraspArray) -> Candidates:
+def _candidates(message: GraspList) -> Candidates:
     """The grasps of an array.
 
     Raises:
         InvalidInputError: it has no frame, or its gripper or a grasp is not valid.
     """
-    grasps = grasps_from_messages(message.grasps)
+    grasps = message.grasps()
     if len(grasps) > 0:
         if not message.header.frame_id:
             raise GraspMessageError("the array has no frame_id: name the gravity-aligned frame that its poses are in")

@@ -16,6 +16,8 @@ from regnet_core import DetectionReport, Grasps, Gripper, InvalidInputError, Pla
 from regnet_core.geometry import matrix_from_quaternion, pose_matrix
 from regnet_core.policy import Selection
 from regnet_ros.conversions import (
+    GraspList,
+    _Layout,
     grasp_array,
     grasps_from_messages,
     gripper_from_message,
@@ -62,7 +64,21 @@ def test_an_array_is_serialized_as_rclpy_does_it(frame: str, count: int) -> None
     expected = serialize_message(grasp_array(header, batch, Gripper(width=0.07), report))
     data = serialized_grasp_array(header, batch, Gripper(width=0.07), report)
     assert len(data) == len(expected)  # what is between fields is anything
-    assert deserialize_message(data, GraspArray) == deserialize_message(expected, GraspArray)
+    message = deserialize_message(data, GraspArray)
+    assert message == deserialize_message(expected, GraspArray)
+    received, read = GraspList.of_serialized(data), GraspList.of_message(message)
+    assert received[:3] == read[:3] and [received.message(rank) for rank in range(count)] == message.grasps
+    np.testing.assert_array_equal(received.numbers, read.numbers)
+
+
+def test_an_array_in_another_layout_is_read_by_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here grasps seem to begin a number later: the first one is another than rclpy reads."""
+    message = array()
+    data, right = serialize_message(message), _Layout.numbers
+    monkeypatch.setattr(_Layout, "numbers", lambda self, data: right(self, data) + 1.0)
+    np.testing.assert_array_equal(GraspList.of_serialized(data).numbers, GraspList.of_message(message).numbers)
+    for wrong in (b"", data[:40], b"\1" + data[1:], data[:1] + b"\7" + data[2:]):
+        assert _Layout.of(wrong) is None
 
 
 def test_random_rotations_survive() -> None:
@@ -102,12 +118,12 @@ def test_an_odd_array_is_refused_with_a_clear_message(odd: OddArray) -> None:
     message = array()
     odd.change(message)
     with pytest.raises(InvalidInputError) as caught:
-        _candidates(message)
+        _candidates(GraspList.of_message(message))
     assert re.search(odd.message, str(caught.value))
 
 
 def selection(rank: int = 2) -> SelectedGrasp:
-    return selected_grasp(array(), grasps(), Selection(rank, 1.5, "heuristic"), 0.12, 0.2)
+    return selected_grasp(GraspList.of_message(array()), grasps(), Selection(rank, 1.5, "heuristic"), 0.12, 0.2)
 
 
 def test_a_selection_has_the_way_to_the_grasp_and_up() -> None:

@@ -21,7 +21,7 @@ from regnet_msgs.msg import GraspArray, SelectedGrasp
 from regnet_msgs.srv import SelectGrasp
 from visualization_msgs.msg import Marker, MarkerArray
 
-from regnet_ros.conversions import grasps_from_messages
+from regnet_ros.conversions import GraspList
 from regnet_ros.execution import Candidates, Execution
 from regnet_ros.settings import SelectorParameters
 
@@ -303,7 +303,7 @@ def test_an_execution_that_was_stopped_before_it_began_never_begins(
         selector.peer.node, ReentrantCallbackGroup(), lambda: permitted, lambda *_: None, said.append, said.append
     )
     wait_for(execution._client.server_is_ready, "the action server")
-    execution.start(Candidates(array(), grasps_from_messages(array().grasps)), SelectedGrasp(rank=7), 3)
+    execution.start(Candidates(message := GraspList.of_message(array()), message.grasps()), SelectedGrasp(rank=7), 3)
     assert execution.under_way == permitted
     if permitted:
         wait_for(lambda: execution._goal is not None, "the goal's answer")
