@@ -93,6 +93,17 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS if fields else 0.0
 
 
+def with_children(process: int) -> list[int]:
+    """A process and those that it started, and so on; empty where it is gone."""
+    found, left = [], [process]
+    while left:
+        one = left.pop()
+        tasks = list(Path(f"/proc/{one}/task").glob("*/children"))
+        found += [one] if tasks else []
+        left += [int(word) for task in tasks for word in _read(task).split()]
+    return found
+
+
 def resident_bytes(process: int | None = None) -> int:
     """Memory of a process (this one when not given) that is in use now [bytes]; 0 for one that is gone."""
     fields = _read(Path(f"/proc/{process or 'self'}/statm")).split()

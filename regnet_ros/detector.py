@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from regnet_ros.conversions import (
     pose_array,
     serialized_grasp_array,
 )
+from regnet_ros.detection_process import DetectionProcesses, ProcessEndedError, RemoteDetector
 from regnet_ros.inputs import NEXT_CLOUD
 from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Lead, Usual
@@ -59,13 +61,22 @@ class Detector(GraspNode[DetectorParameters]):
         kwargs: of ``rclpy.node.Node``.
         """
         self._source = source
-        self._detectors: dict[tuple[object, ...], GraspDetector] = {}
+        self._processes: DetectionProcesses | None = None
+        self._detectors: dict[tuple[object, ...], GraspDetector | RemoteDetector] = {}
         self._warm: set[tuple[str, str]] = set()
         self._in_use = ("", "")
         self._last_cloud: PointCloud2 | PreparedCloud | None = None
         self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
+        if self.settings.own_process:
+            self._processes = DetectionProcesses(self.settings.at_a_time, self.settings.threads)
+
+    def destroy_node(self) -> None:
+        """End the work and release everything (rclpy's method)."""
+        super().destroy_node()
+        if self._processes is not None:
+            self._processes.end()
 
     def at_a_time(self) -> int:
         """As many as the parameters say."""
@@ -144,7 +155,7 @@ class Detector(GraspNode[DetectorParameters]):
     def _answer(self, cloud: PointCloud2 | PreparedCloud, settings: DetectorParameters, start: float) -> None:
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
-        except InvalidInputError as error:
+        except (InvalidInputError, ProcessEndedError) as error:
             self.workers.await_turn()
             self._publish(cloud.header, self._nothing(settings.gripper, str(error)), settings.max_markers)
             raise
@@ -188,26 +199,27 @@ class Detector(GraspNode[DetectorParameters]):
         try:
             gripper = gripper_from_message(request.gripper) if request.use_gripper else settings.gripper
             detection, _ = self._detect(request.cloud, settings, gripper)
-        except InvalidInputError as error:
+        except (InvalidInputError, ProcessEndedError) as error:
             response.message = str(error)
             return response
         response.success = True
         response.grasps = grasp_array(request.cloud.header, detection.grasps, detection.gripper, detection.report)
         return response
 
-    def _detector_for(self, settings: DetectorParameters) -> GraspDetector:
+    def _detector_for(self, settings: DetectorParameters) -> GraspDetector | RemoteDetector:
         key = _key(settings)
         detector = self._detectors.get(key)
         if detector is None:
             config = DetectorConfig(max_grasps=settings.max_grasps)
-            detector = GraspDetector(settings.model, settings.device, settings.seed, config)
+            make = GraspDetector if self._processes is None else self._processes.detector
+            detector = make(settings.model, settings.device, settings.seed, config)
             # While another one is made ready, work still asks for the present one.
             present = {k: d for k, d in self._detectors.items() if k == _key(self.settings)}
             self._detectors = {**present, key: detector}
         return detector
 
-    def _warm_up(self, detector: GraspDetector, settings: DetectorParameters) -> None:
-        """Detect once, unless the model already did so in this process.
+    def _warm_up(self, detector: GraspDetector | RemoteDetector, settings: DetectorParameters) -> None:
+        """Detect once in each process, unless the model already did so.
 
         Raises:
             ModelError: the model cannot run on its device.
@@ -216,14 +228,19 @@ class Detector(GraspNode[DetectorParameters]):
         if wanted in self._warm or not settings.warm_up:
             return
         start, points = time.perf_counter(), made_up_cloud()
+        colors = np.full(points.shape, 128, np.uint8)
         try:
-            detector.detect(points, settings.gripper, np.full(points.shape, 128, np.uint8))
+            if self._processes is None:
+                detector.detect(points, settings.gripper, colors)
+            else:  # a process that is at it is not asked again
+                with ThreadPoolExecutor(settings.at_a_time) as pool:
+                    list(pool.map(lambda _: detector.detect(points, settings.gripper, colors), self._processes.numbers))
         except RuntimeError as error:
             raise ModelError(f"model '{detector.model}' does not run on '{detector.device}': {error}") from error
         self._warm.add(wanted)
         self.get_logger().info(f"warm-up of {detector.model} took {time.perf_counter() - start:.1f} s")
 
-    def _announce(self, detector: GraspDetector) -> None:
+    def _announce(self, detector: GraspDetector | RemoteDetector) -> None:
         self._in_use = detector.model, detector.device
         self.health.facts = {"model": detector.model, "device": detector.device}
         self.get_logger().info(f"model {detector.model} on {detector.device}")

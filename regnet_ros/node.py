@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from regnet_core.errors import InvalidInputError
+from regnet_core.errors import RegnetError
 from regnet_core.report import StepReport
 from regnet_ros.health import Health
 from regnet_ros.inputs import OUTPUT_QOS, SensorInput
@@ -241,7 +241,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
     def _work(self, item: Any) -> None:
         try:
             self.work(item)
-        except InvalidInputError as error:
+        except RegnetError as error:
             self.fail(str(error))
         except Exception as error:
             self.crash(error, "while working on an input")
@@ -269,7 +269,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
         try:
             vetted, proposed = self._store.vet(parameter_list)
             self.check_settings(proposed)
-        except InvalidInputError as error:
+        except RegnetError as error:
             return SetParametersResult(successful=False, reason=str(error))
         result = super().set_parameters_atomically(vetted)
         if result.successful:
@@ -292,7 +292,7 @@ class GraspNode(LifecycleNodeMixin, Node, Generic[Table]):
             self.configure()
         except Exception as error:
             self._tear_down()
-            if isinstance(error, InvalidInputError):
+            if isinstance(error, RegnetError):
                 self.fail(f"cannot configure: {error}")
             else:
                 self.crash(error, "while configuring")

@@ -167,6 +167,12 @@ class DetectorParameters(SensorParameters):
         limits=(1, 16),
         read_only=True,
     )
+    own_process: bool = parameter(
+        False,
+        "Whether each of the clouds worked on at a time is so in a process of its own, which nothing else that the "
+        "node does holds up; each takes some 800 MB.",
+        read_only=True,
+    )
     seed: int = parameter(
         0, "Seed of every random choice; the same cloud gives the same grasps.", limits=(0, 2**31 - 1)
     )
@@ -248,6 +254,7 @@ class DetectorParameters(SensorParameters):
             "max_rate",
             "threads",
             "at_a_time",
+            "own_process",
         )
         return all(
             getattr(self, f.name) == getattr(other, f.name) for f in fields(DetectorParameters) if f.name not in aside

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import GetState
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from regnet_msgs.msg import GraspArray
 
 from benchmarks.errors import BenchmarkError
@@ -41,7 +42,7 @@ class ReceiverTask:
         self._arrivals: list[Arrival] = []
         self._count = 0
         self._status: list[dict[str, Any]] = []
-        self._node.create_subscription(GraspArray, "grasps", self._on_grasps, QoSProfile(depth=_DEPTH))
+        self._node.create_subscription(GraspArray, "grasps", self._on_grasps, QoSProfile(depth=_DEPTH), raw=True)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, QoSProfile(depth=_DEPTH))
         self._states = {name: self._node.create_client(GetState, f"{name}/get_state") for name in nodes}
         self._executor = SingleThreadedExecutor()
@@ -96,8 +97,9 @@ class ReceiverTask:
             status, self._status = self._status, []
         return {"status": status}
 
-    def _on_grasps(self, message: GraspArray) -> None:
+    def _on_grasps(self, data: bytes) -> None:
         now = time.monotonic_ns()
+        message = deserialize_message(data, GraspArray)
         with self._news:
             self._count += 1
             self._arrivals.append(Arrival(number_of(message.header.stamp.sec), now, message))

@@ -18,7 +18,7 @@ from types import TracebackType
 from scipy.spatial.transform import Rotation
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.machine import ROOT
+from benchmarks.machine import ROOT, cpu_seconds, peak_bytes, resident_bytes, with_children
 from benchmarks.nodes_config import CONFIG
 from benchmarks.workers import Worker
 from regnet_core.geometry import Array
@@ -91,6 +91,23 @@ class NodeProcess:
     def pid(self) -> int:
         """The process's number."""
         return self._process.pid
+
+    @property
+    def pids(self) -> list[int]:
+        """Its number and those of the processes that it started."""
+        return with_children(self.pid)
+
+    def cpu_seconds(self) -> float:
+        """Time that all of these have computed [s]."""
+        return sum(cpu_seconds(number) for number in self.pids)
+
+    def resident_bytes(self) -> int:
+        """Memory of all of these that is in use now [bytes]."""
+        return sum(resident_bytes(number) for number in self.pids)
+
+    def peak_bytes(self) -> int:
+        """The sum of the most that each of these ever used [bytes]."""
+        return sum(peak_bytes(number) for number in self.pids)
 
     def check_alive(self) -> None:
         """Refuse to go on without it.
@@ -173,7 +190,7 @@ class NodeSystem:
     @property
     def pids(self) -> list[int]:
         """The numbers of all processes of it."""
-        return [self.receiver.pid, *(node.pid for node in self.nodes.values())]
+        return [self.receiver.pid, *(number for node in self.nodes.values() for number in node.pids)]
 
     def wait_until(self, condition: Callable[[], bool], what: str) -> None:
         """Wait for something, as long as all nodes are alive.

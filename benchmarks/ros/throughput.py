@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from benchmarks.clouds import bag_topic, read_cloud
 from benchmarks.errors import BenchmarkError
 from benchmarks.growth import MemorySample, memory_record
-from benchmarks.machine import LoadMeter, cpu_seconds, peak_bytes, resident_bytes
+from benchmarks.machine import LoadMeter
 from benchmarks.models import ModelChoice, choose_model, ready_model
 from benchmarks.records import MemoryRecord, NodeUse, ThroughputRecord
 from benchmarks.ros.system import NodeProcess, NodeSystem, check_ros, ros_environment
@@ -93,7 +93,7 @@ def measure_throughput(settings: ThroughputSettings, say: Callable[[str], None] 
         BenchmarkError: there is no ROS, a node does not start, or nothing arrives.
     """
     with _playing(settings, say) as (choice, system, player):
-        before = {name: cpu_seconds(node.pid) for name, node in system.nodes.items()}
+        before = {name: node.cpu_seconds() for name, node in system.nodes.items()}
         system.receiver.ask("diagnostics")
         start, meter = time.monotonic(), LoadMeter([player.pid, *system.pids])
         seen = system.receiver.ask("watch", seconds=settings.seconds)
@@ -101,9 +101,7 @@ def measure_throughput(settings: ThroughputSettings, say: Callable[[str], None] 
         if seen["count"] < 2:
             raise BenchmarkError(f"{seen['count']} GraspArrays arrived in {settings.seconds:g} s: too few for a rate")
         use = tuple(
-            NodeUse(
-                name, (cpu_seconds(node.pid) - before[name]) / elapsed, resident_bytes(node.pid), peak_bytes(node.pid)
-            )
+            NodeUse(name, (node.cpu_seconds() - before[name]) / elapsed, node.resident_bytes(), node.peak_bytes())
             for name, node in system.nodes.items()
         )
         heard = system.receiver.ask("diagnostics")["status"]
@@ -148,7 +146,7 @@ def measure_node_memory(
             done = seen["total"] - first
             for name, node in system.nodes.items():
                 node.check_alive()
-                samples[name].append(MemorySample(done, resident_bytes(node.pid), peak_bytes(node.pid)))
+                samples[name].append(MemorySample(done, node.resident_bytes(), node.peak_bytes()))
             say(f"{done} of {detections} detections through the nodes")
         seconds = time.monotonic() - start
     return tuple(
