@@ -1,8 +1,8 @@
 """Detections in processes of their own: what else a node does, such as receiving clouds, does not hold them up.
 
 Threads of one Python process wait for each other: a detection asks for the interpreter's lock a thousand times, and
-beside two others it took a third more computing time. A process has an interpreter of its own; clouds reach it in
-memory that both see. It starts again by itself where it was ended, for want of memory for instance.
+two at a time took half as long again as each in a process of its own, which has its own interpreter. Clouds reach it in
+memory that both see. It is started again where it was ended, for want of memory for instance.
 """
 
 from __future__ import annotations

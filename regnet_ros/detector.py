@@ -69,7 +69,7 @@ class Detector(GraspNode[DetectorParameters]):
         self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         use_threads(self.settings.threads)
-        if self.settings.own_process:
+        if self.settings.at_a_time > 1:
             self._processes = DetectionProcesses(self.settings.at_a_time, self.settings.threads)
 
     def destroy_node(self) -> None:

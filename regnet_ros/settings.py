@@ -162,15 +162,9 @@ class DetectorParameters(SensorParameters):
     )
     at_a_time: int = parameter(
         1,
-        "Clouds worked on at a time, at most; loops that are split over threads are split for each of them less. With "
-        "more than 1 there are more arrays in a second, and each comes later.",
+        "Clouds worked on at a time, at most. With more than 1, each is so in a process of its own of some 800 MB, and "
+        "the threads are shared out among these: there are more arrays in a second, and each comes later.",
         limits=(1, 16),
-        read_only=True,
-    )
-    own_process: bool = parameter(
-        False,
-        "Whether each of the clouds worked on at a time is so in a process of its own, which nothing else that the "
-        "node does holds up; each takes some 800 MB.",
         read_only=True,
     )
     seed: int = parameter(
@@ -254,7 +248,6 @@ class DetectorParameters(SensorParameters):
             "max_rate",
             "threads",
             "at_a_time",
-            "own_process",
         )
         return all(
             getattr(self, f.name) == getattr(other, f.name) for f in fields(DetectorParameters) if f.name not in aside

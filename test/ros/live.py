@@ -121,6 +121,11 @@ class NodeProcess:
             )
 
     @property
+    def pid(self) -> int:
+        """The system's number of the process."""
+        return self._process.pid
+
+    @property
     def output(self) -> str:
         return self._log.read_text()
 

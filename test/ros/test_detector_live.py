@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -111,6 +114,18 @@ def test_poses_and_markers_show_the_same_grasps(detector: Detector) -> None:
     assert [marker.pose for marker in markers[1:]] == poses.poses[:10]
     assert markers[1].color.g > markers[1].color.r
     assert markers[-1].color.r > markers[-1].color.g
+
+
+def test_the_node_goes_on_where_a_process_that_detects_is_killed(detector: Detector) -> None:
+    tasks = Path(f"/proc/{detector.process.pid}/task").glob("*/children")
+    children = [int(word) for task in tasks for word in task.read_text().split()]
+    assert len(children) == 2  # one for each of at_a_time
+    for child in children:
+        os.kill(child, signal.SIGKILL)
+    for _ in children:
+        result = detector.result()
+        assert result.grasps == [] and "was ended (signal SIGKILL)" in result.reason
+    assert len(detector.result().grasps) > 0 and len(detector.result().grasps) > 0
 
 
 def test_the_same_cloud_gives_the_same_grasps(detector: Detector) -> None:
