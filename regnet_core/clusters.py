@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from regnet_core.geometry import Array, Mask
-from regnet_core.ops.cells import bounds_of_cells, cells_below, flat_cells
+from regnet_core.ops.cells import bounds_of_cells, cells_below, flat_cells, less_one, mark
 from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 
 Index = npt.NDArray[np.int64]
@@ -63,11 +63,10 @@ def cluster(points: Array, cell: float = 0.02) -> Clusters:
 
 def _on_a_map(index: Index, low: Index, across: int, count: int) -> Index:
     """(N,): the cluster of the points in cells (N, 2) of a map that begins at the cell ``low``."""
-    flat = flat_cells(index, low, across)
-    seen = np.zeros(count, np.bool_)
-    seen[flat] = True
+    flat, seen = flat_cells(index, low, across), np.zeros(count, np.bool_)
+    mark(seen, flat)
     labels, _ = ndimage.label(seen.reshape(-1, across), np.ones((3, 3)))
-    return labels.reshape(-1)[flat].astype(np.int64) - 1
+    return less_one(labels.reshape(-1), flat)
 
 
 def _by_keys(index: Index) -> Index:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box, Plane
-from regnet_core.ops.cells import cells_with_points
+from regnet_core.ops.cells import cells_with_points, count_in_slab, mark_slab
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import chosen_rows, first_in_voxels, moved_rows, rows_in_box, valid_rows
@@ -274,6 +274,10 @@ def _supporting(planes: list[Plane], points: Array, tolerance: float) -> Plane |
     return large[0][0]
 
 
+_RIM = 6
+"""Cells around a map, one more than gaps of it are closed by."""
+
+
 def _carried(plane: Plane, points: Array, tolerance: float, reach: float = 0.5, cell: float = 0.03) -> int:
     """How many of the points (N, 3) stand on the plane, up to ``reach`` [m] above where it was seen or gaps of it."""
     height = plane.height(points)
@@ -281,13 +285,10 @@ def _carried(plane: Plane, points: Array, tolerance: float, reach: float = 0.5, 
     shape = ((high - low) / cell).astype(np.int64) + 1
     if float(shape[0]) * float(shape[1]) > 4e6:
         return 0
-    index = ((points[:, :2] - low) / cell).astype(np.int64)
-    footprint = np.zeros(shape, bool)
-    on_plane = index[np.abs(height) < tolerance]
-    footprint[on_plane[:, 0], on_plane[:, 1]] = True
-    footprint = closed(np.pad(footprint, 6), 5)[6:-6, 6:-6]
-    above = index[(height > 2 * tolerance) & (height < reach)]
-    return int(footprint[above[:, 0], above[:, 1]].sum())
+    footprint = np.zeros(shape + 2 * _RIM, np.bool_)
+    mark_slab(points, height, (-tolerance, tolerance), low, cell, _RIM, footprint)
+    footprint = closed(footprint, _RIM - 1)
+    return count_in_slab(points, height, (2 * tolerance, reach), low, cell, _RIM, footprint)
 
 
 def _horizontal_planes(

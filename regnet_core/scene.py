@@ -145,7 +145,7 @@ def prepare_scene(
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
-        objects, ground = _complete(found, cloud, plane, config, viewpoint, recorder.warnings)
+        objects, ground = _complete(found, plane, config, viewpoint, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
     return Scene(cloud, source, plane, found.points, found.structure, objects, ground, colors)
 
@@ -162,6 +162,8 @@ class _Found(NamedTuple):
     base: Plane
     """The support plane, or what stands for it."""
     structure: Array
+    on_plane: Array
+    """(P, 3): what was seen of the support plane; none without one."""
 
 
 def _thinned(points: Array, config: SceneConfig) -> Index:
@@ -188,9 +190,10 @@ def _find_surface(
     above = above[groups.size[groups.label] >= config.outlier_neighbours]
     points = taken(cloud, above)
     in_the_way = structure(points, height[above], config.max_object_height)
+    on_plane = np.zeros((0, 3))
     if plane is not None:
-        on_plane = np.flatnonzero(np.abs(height) <= config.plane_clearance)
-        in_the_way |= beyond(points, taken(cloud, on_plane))
+        on_plane = taken(cloud, np.flatnonzero(np.abs(height) <= config.plane_clearance))
+        in_the_way |= beyond(points, on_plane)
     wall, above = points[in_the_way], above[~in_the_way]
 
     points, source, height = taken(cloud, above), source[above], height[above]
@@ -206,19 +209,18 @@ def _find_surface(
     # Sensor noise is taken out along the normal: onto the plane of the neighbours.
     points = points - normals * np.sum((points - local.mean[keep]) * normals, axis=1, keepdims=True)
 
-    return _Found(points, normals, source, height, base, wall)
+    return _Found(points, normals, source, height, base, wall, on_plane)
 
 
 def _complete(
     found: _Found,
-    cloud: Array,
     plane: Plane | None,
     config: SceneConfig,
     viewpoint: Array | None,
     warnings: list[str],
 ) -> tuple[Surface, UnseenGround | None]:
     """The objects' surface with outward normals and hidden sides, and the ground."""
-    points, normals, source, height, base, _ = found
+    points, normals, source, height, base, _, on_plane = found
     model = fill_columns(points, base) if config.complete_hidden else None
     if plane is None and len(points) > 0:
         warnings.append("no support plane was found: objects are taken to stand at the height of the lowest point")
@@ -230,8 +232,7 @@ def _complete(
         objects = _with_hidden_sides(objects, model, base)
     if plane is None or not config.complete_hidden:
         return objects, None
-    on_plane = np.flatnonzero(np.abs(plane.height(cloud)) <= config.plane_clearance)
-    return objects, unseen_ground(taken(cloud, on_plane), objects.points)
+    return objects, unseen_ground(on_plane, objects.points)
 
 
 def _lowest_level(cloud: Array) -> Plane:

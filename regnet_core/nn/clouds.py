@@ -78,6 +78,8 @@ class Clouds(NamedTuple):
 
     def numbers(self) -> torch.Tensor:
         """(N,): the cloud that each point belongs to."""
+        if len(self.width) == 1:
+            return torch.zeros(len(self.points), dtype=torch.int64, device=self.points.device)
         index = torch.arange(len(self.width), device=self.points.device)
         return torch.repeat_interleave(index, self.offsets.diff(), output_size=len(self.points))
 
@@ -92,7 +94,8 @@ def point_features(clouds: Clouds, config: NetworkConfig) -> torch.Tensor | None
     """
     parts = []
     if config.width:
-        parts.append(width_feature(clouds.width)[clouds.numbers(), None])
+        width = width_feature(clouds.width)[:, None]
+        parts.append(width.expand(len(clouds.points), 1) if len(width) == 1 else width[clouds.numbers()])
     if config.colour:
         if clouds.colors is None:
             raise CloudError(f"the network '{config.name}' needs the points' colours, and the clouds have none")

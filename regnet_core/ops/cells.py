@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from regnet_core.geometry import Array
+from regnet_core.geometry import Array, Mask
 from regnet_core.ops.compiled import compiled
 
 
@@ -54,6 +54,55 @@ def flat_cells(index, low, across):  # type: ignore[no-untyped-def]
     for p in range(len(index)):
         flat[p] = (index[p, 0] - low[0]) * across + index[p, 1] - low[1]
     return flat
+
+
+def mark_slab(
+    points: npt.NDArray[Any],
+    height: Array,
+    between: tuple[float, float],
+    low: Array,
+    cell: float,
+    rim: int,
+    marked: Mask,
+) -> None:
+    """Mark the cells (nx, ny) below the points (N, >= 2) whose heights (N,) are between two.
+
+    Args:
+        points: all on the map [m].
+        height: of the points [m].
+        between: the two heights, not included [m].
+        low: (2,), the lower corner of cell (rim, rim) [m].
+        cell: edge length of a cell [m].
+        rim: how many cells the map begins before that one.
+        marked: what changes.
+    """
+    _in_slab(points, height, between, low, cell, rim, marked, True)
+
+
+def count_in_slab(
+    points: npt.NDArray[Any],
+    height: Array,
+    between: tuple[float, float],
+    low: Array,
+    cell: float,
+    rim: int,
+    marked: Mask,
+) -> int:
+    """How many of the points whose heights are between two are above marked cells; as for ``mark_slab``."""
+    return int(_in_slab(points, height, between, low, cell, rim, marked, False))
+
+
+@compiled
+def _in_slab(points, height, between, low, cell, rim, marked, mark):  # type: ignore[no-untyped-def]
+    count = 0
+    for p in range(len(points)):
+        if between[0] < height[p] < between[1]:
+            i, j = int((points[p, 0] - low[0]) / cell) + rim, int((points[p, 1] - low[1]) / cell) + rim
+            if mark:
+                marked[i, j] = True
+            else:
+                count += marked[i, j]
+    return count
 
 
 def mark_nearest(points: npt.NDArray[Any], low: Array, cell: float, marked: npt.NDArray[np.bool_]) -> None:
@@ -104,3 +153,19 @@ def _mark(points, low, cell, marked):  # type: ignore[no-untyped-def]
         i = np.int64(np.rint((points[p, 0] - low[0]) / cell))
         j = np.int64(np.rint((points[p, 1] - low[1]) / cell))
         marked[i, j] = True
+
+
+@compiled
+def mark(marked, rows):  # type: ignore[no-untyped-def]
+    """Mark some of (M,), by their numbers (N,)."""
+    for i in range(len(rows)):
+        marked[rows[i]] = True
+
+
+@compiled
+def less_one(labels, rows):  # type: ignore[no-untyped-def]
+    """(N,) int64: one less than the numbers at places (N,) of (M,)."""
+    found = np.empty(len(rows), np.int64)
+    for i in range(len(rows)):
+        found[i] = labels[rows[i]] - 1
+    return found

@@ -10,8 +10,10 @@ from __future__ import annotations
 import torch
 
 from regnet_core.ops.buckets import Buckets, in_buckets
+from regnet_core.ops.compiled import compiled
 from regnet_core.ops.gpu import has_kernels
 from regnet_core.ops.local_planes import relative_covariances
+from regnet_core.ops.parallel import for_each_range
 
 SHAPE_CHANNELS = 6
 """xx, yy, zz, xy, xz, yz of the tensor."""
@@ -63,8 +65,20 @@ def covariance_in_torch(points: torch.Tensor, radius: float) -> torch.Tensor:
 
 
 def unique_entries(tensor: torch.Tensor) -> torch.Tensor:
-    """(N, 6) of symmetric tensors (N, 3, 3)."""
-    return tensor[:, _ROWS, _COLUMNS]
+    """(N, 6) of symmetric tensors (N, 3, 3): xx, yy, zz, xy, xz, yz."""
+    if tensor.device.type != "cpu" or tensor.dtype != torch.float32 or tensor.requires_grad:
+        return tensor[:, _ROWS, _COLUMNS]
+    entries = torch.empty((len(tensor), 6))
+    for_each_range(_list_entries, len(tensor), 3, tensor.contiguous().numpy(), entries.numpy())
+    return entries
+
+
+@compiled
+def _list_entries(begin, end, tensors, entries):  # type: ignore[no-untyped-def]
+    for n in range(begin, end):
+        s, row = tensors[n], entries[n]
+        row[0], row[1], row[2] = s[0, 0], s[1, 1], s[2, 2]
+        row[3], row[4], row[5] = s[0, 1], s[0, 2], s[1, 2]
 
 
 def symmetric(entries: torch.Tensor) -> torch.Tensor:
