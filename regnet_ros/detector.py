@@ -36,7 +36,7 @@ from regnet_ros.pace import Lead, Usual
 from regnet_ros.preprocessor import PreparedCloud, Preprocessor
 from regnet_ros.process import run
 from regnet_ros.settings import DetectorParameters
-from regnet_ros.threads import use_threads
+from regnet_ros.threads import usable_cores, use_threads
 from regnet_ros.visuals import grasp_markers
 from regnet_ros.warm_up import made_up_cloud
 
@@ -68,9 +68,12 @@ class Detector(GraspNode[DetectorParameters]):
         self._last_cloud: PointCloud2 | PreparedCloud | None = None
         self._usual, self._lead = Usual(), Lead()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
-        use_threads(self.settings.threads)
-        if self.settings.at_a_time > 1:
-            self._processes = DetectionProcesses(self.settings.at_a_time, self.settings.threads)
+        threads, count = self.settings.threads or usable_cores(), self.settings.at_a_time
+        if count == 1:
+            use_threads(self.settings.threads)
+        else:
+            self._processes = DetectionProcesses(count, threads)
+            use_threads(max(threads - count, 1))
 
     def destroy_node(self) -> None:
         """End the work and release everything (rclpy's method)."""

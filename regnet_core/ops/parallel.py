@@ -75,13 +75,17 @@ def on_one_core() -> Iterator[None]:
 @contextmanager
 def sharing_cores() -> Iterator[None]:
     """Of several computations of this process within this context, each keeps to its share of the cores: side by side
-    they get more done than one after the other, as hardly any work can be split without loss."""
+    they get more done than one after the other, as hardly any work can be split without loss. Other threads take what
+    is left."""
     global _under_way
+    inside = getattr(_thread, "inside", 0)
     with _counting:
         _under_way += 1
+    _thread.inside = inside + 1
     try:
         yield
     finally:
+        _thread.inside = inside
         with _counting:
             _under_way -= 1
 
@@ -90,7 +94,9 @@ def _own_cores() -> int:
     """How many cores the thread that asks may use now."""
     if getattr(_thread, "alone", False):
         return 1
-    return max(available_cores() // max(_under_way, 1), 1)
+    if getattr(_thread, "inside", 0):
+        return max(available_cores() // max(_under_way, 1), 1)
+    return max(available_cores() - _under_way, 1)
 
 
 def for_each_range(loop: Callable[..., None], count: int, each: float, *arguments: object) -> None:

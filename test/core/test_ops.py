@@ -96,6 +96,8 @@ def test_computations_side_by_side_share_the_cores(cores: int) -> None:
             with parallel.sharing_cores():
                 assert ranges(1000, 1e5) == 1
         assert ranges(1000, 1e5) == 16
+        with ThreadPoolExecutor(1) as others:  # work of another kind takes the cores that are left
+            assert others.submit(ranges, 1000, 1e5).result(timeout=60) == 12
 
 
 def test_a_forked_process_can_go_on_working() -> None:
