@@ -269,7 +269,18 @@ class GraspList(NamedTuple):
 
     @classmethod
     def of_serialized(cls, data: bytes) -> GraspList:
-        """Of a message as it is received."""
+        """Of a message as it is received.
+
+        Raises:
+            GraspMessageError: it is none.
+        """
+        try:
+            return cls._of_serialized(data)
+        except Exception as error:  # of middleware and bindings, whatever they raise
+            raise GraspMessageError(f"a GraspArray of {len(data)} bytes cannot be read: {error}") from error
+
+    @classmethod
+    def _of_serialized(cls, data: bytes) -> GraspList:
         layout = _Layout.of(data)
         if layout is not None and layout.number > 1:
             numbers = layout.numbers(data)

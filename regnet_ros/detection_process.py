@@ -2,7 +2,8 @@
 
 Threads of one Python process wait for each other: a detection asks for the interpreter's lock a thousand times, and
 two at a time took half as long again as each in a process of its own, which has its own interpreter. Clouds reach it in
-memory that both see. It is started again where it was ended, for want of memory for instance.
+memory that both see. One that was ended, for want of memory for instance, is started again; the next detection there
+takes some seconds longer.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
-import queue
+import pickle
 import signal
 import subprocess
 import sys
+import threading
 import traceback
+from collections.abc import Iterator, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -32,8 +35,6 @@ from regnet_ros.threads import usable_cores, use_threads
 _KEPT = 2
 """A process keeps so many detectors: while another model is made ready, the present one works on."""
 _PAGE = mmap.PAGESIZE
-_LAST_WORK = 2.0
-"""How long to wait for a process to end by itself [s]."""
 
 
 class ProcessEndedError(RegnetError):
@@ -67,7 +68,7 @@ class _Room:
         self._descriptor = descriptor
         self._memory: mmap.mmap | None = None
 
-    def put(self, arrays: list[npt.NDArray[Any] | None]) -> list[_Place | None]:
+    def put(self, arrays: Sequence[npt.NDArray[Any] | None]) -> list[_Place | None]:
         """Copy arrays into the memory, which grows where they need more than there is."""
         places: list[_Place | None] = []
         end = 0
@@ -85,7 +86,11 @@ class _Room:
     def arrays(self, places: list[_Place | None]) -> list[npt.NDArray[Any] | None]:
         """Arrays that the other process has put there, until it puts others there."""
         return [
-            None if place is None else place.array(self._seen()) if np.prod(place.shape) else np.empty(place.shape)
+            None
+            if place is None
+            else place.array(self._seen())
+            if np.prod(place.shape)
+            else np.empty(place.shape, place.kind)
             for place in places
         ]
 
@@ -105,75 +110,115 @@ class _Room:
 # -- in the node's process ---------------------------------------------------------------------------------------------
 
 
+class _Running(NamedTuple):
+    """A process, and the ways to it."""
+
+    program: subprocess.Popen[bytes]
+    line: Connection
+    room: _Room
+
+    @classmethod
+    def start(cls, threads: int) -> _Running:
+        """Start one.
+
+        Raises:
+            OSError: the system refuses.
+        """
+        with contextlib.ExitStack() as undo:
+            line, other = Pipe()
+            undo.callback(line.close)
+            descriptor = os.memfd_create("regnet_cloud")
+            undo.callback(os.close, descriptor)
+            with other:
+                numbers = other.fileno(), descriptor
+                program = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "regnet_ros.detection_process", *map(str, (*numbers, threads))],
+                    pass_fds=numbers,
+                    process_group=0,  # Ctrl+C is for the node, which ends this process
+                    env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+                )
+            undo.pop_all()
+        return cls(program, line, _Room(descriptor))
+
+    def close(self) -> int:
+        """End it, where it has not ended, and leave the ways to it; the exit code."""
+        self.program.kill()
+        code = self.program.wait()
+        self.line.close()
+        self.room.close()
+        return code
+
+
 class _Process:
-    """One process; one question at a time."""
+    """A process that is started again where it ended; for one thread at a time, but for ``stop``."""
 
     def __init__(self, threads: int) -> None:
-        self._threads = threads
-        self._start()
+        self._threads, self._over = threads, False
+        self._running: _Running | None = _Running.start(threads)
 
-    def ask(self, task: str, key: Key, *given: Any) -> Any:
+    def ask(self, task: str, key: Key, *given: Any, arrays: Sequence[npt.NDArray[Any] | None] = ()) -> Any:
         """Have something done there.
 
         Raises:
             RegnetError: what was raised there.
             RuntimeError: something else was raised there.
-            ProcessEndedError: the process ended; another one takes its place.
+            ProcessEndedError: the process ended meanwhile, or cannot be started.
         """
+        running = self._alive()
+        question = pickle.dumps((task, key, running.room.put(arrays), given))
         try:
-            self._line.send((task, key, given))
-            done, answer = self._line.recv()
+            running.line.send_bytes(question)
+            done, answer = running.line.recv()
         except (EOFError, OSError) as error:
-            self._program.wait()
-            code = self._program.returncode
+            raise ProcessEndedError(f"the process that detects was ended: {_how(self._leave())}") from error
+        except BaseException:  # an answer that nobody waited for would be taken for that to the next question
             self._leave()
-            self._start()
-            raise ProcessEndedError(
-                f"the process that detects was ended ({_how(code)}); it is started again, and the node goes on with "
-                "the next input"
-            ) from error
+            raise
         if done:
             return answer
         raise answer if isinstance(answer, RegnetError) else RuntimeError(answer)
 
-    def put(self, arrays: list[npt.NDArray[Any] | None]) -> list[_Place | None]:
-        """Arrays for the next question."""
-        return self._room.put(arrays)
+    def stop(self) -> None:
+        """End the process for good; who asks something meanwhile is told so."""
+        self._over = True
+        if (running := self._running) is not None:
+            running.program.kill()
 
-    def end(self) -> None:
-        """End the process."""
-        self._leave()
-        try:
-            self._program.wait(_LAST_WORK)
-        except subprocess.TimeoutExpired:
-            self._program.kill()
-            self._program.wait()
+    def close(self) -> None:
+        """Leave what is left of it."""
+        if self._running is not None:
+            self._leave()
 
     @property
-    def number(self) -> int:
-        """The system's number of the process."""
-        return self._program.pid
+    def number(self) -> int | None:
+        """The system's number of the process; None while there is none."""
+        return None if self._running is None else self._running.program.pid
 
-    def _start(self) -> None:
-        self._line, other = Pipe()
-        descriptor = os.memfd_create("regnet_cloud")
-        self._room = _Room(descriptor)
-        arguments = [str(number) for number in (other.fileno(), descriptor, self._threads)]
-        paths = [path for path in sys.path if path]
-        self._program = subprocess.Popen(
-            [sys.executable, "-m", "regnet_ros.detection_process", *arguments],
-            pass_fds=[other.fileno(), descriptor],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        )
-        other.close()
+    def _alive(self) -> _Running:
+        if self._over:
+            raise ProcessEndedError("the processes that detect have been ended")
+        if self._running is not None and self._running.program.poll() is not None:
+            self._leave()  # it ended while it had nothing to do
+        if self._running is None:
+            try:
+                self._running = _Running.start(self._threads)
+            except OSError as error:
+                raise ProcessEndedError(f"a process that detects cannot be started: {error}") from error
+        return self._running
 
-    def _leave(self) -> None:
-        self._line.close()
-        self._room.close()
+    def _leave(self) -> int:
+        running, self._running = self._running, None
+        assert running is not None
+        code = running.close()
+        if not self._over:
+            with contextlib.suppress(OSError):  # at once, as it takes seconds; otherwise at the next question
+                self._running = _Running.start(self._threads)
+        return code
 
 
 def _how(code: int) -> str:
-    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+    names = {number.value: number.name for number in signal.Signals}
+    return f"exit code {code}" if code >= 0 else f"signal {names.get(-code, -code)}"
 
 
 class DetectionProcesses:
@@ -182,42 +227,61 @@ class DetectionProcesses:
     def __init__(self, count: int, threads: int = 0) -> None:
         """Args:
         count: of processes.
-        threads: of all of them together; 0: one for each core that this process may use.
+        threads: of all of them together, but one for each at least; 0: one for each core that this process may use.
         """
         share = max((threads or usable_cores()) // count, 1)
         self._all = [_Process(share) for _ in range(count)]
-        self._free: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-        for process in self._all:
-            self._free.put(process)
+        self._free, self._freed = list(self._all), threading.Condition()
 
     def detector(self, model: str, device: str, seed: int, config: DetectorConfig) -> RemoteDetector:
-        """A detector that works in these processes.
+        """A detector that works in these processes, once it is ready in all of them, one after the other.
 
         Raises:
             ModelError: there is no such model or device, or its weights cannot be used.
-            ProcessEndedError: the process ended.
+            ProcessEndedError: a process ended.
         """
         key = Key(model, device, seed, config)
-        return RemoteDetector(self, key, *self.ask("prepare", key))
+        return RemoteDetector(self, key, *self.ask_each("prepare", key)[0])
 
-    def ask(self, task: str, key: Key, *given: Any, arrays: list[npt.NDArray[Any] | None] | None = None) -> Any:
+    def ask(self, task: str, key: Key, *given: Any, arrays: Sequence[npt.NDArray[Any] | None] = ()) -> Any:
         """Have something done by the next process that has time."""
-        process = self._free.get()
-        try:
-            places = [] if arrays is None else [process.put(arrays)]
-            return process.ask(task, key, *places, *given)
-        finally:
-            self._free.put(process)
+        with self._taken(self._all) as process:
+            return process.ask(task, key, *given, arrays=arrays)
+
+    def ask_each(self, task: str, key: Key, *given: Any, arrays: Sequence[npt.NDArray[Any] | None] = ()) -> list[Any]:
+        """Have something done by each process, one after the other: the others have time meanwhile."""
+        answers = []
+        for one in self._all:
+            with self._taken([one]) as process:
+                answers.append(process.ask(task, key, *given, arrays=arrays))
+        return answers
 
     @property
     def numbers(self) -> list[int]:
         """The system's numbers of the processes."""
-        return [process.number for process in self._all]
+        return [number for process in self._all if (number := process.number) is not None]
 
     def end(self) -> None:
-        """End the processes."""
+        """End the processes, also those that are at work."""
         for process in self._all:
-            process.end()
+            process.stop()
+        for process in self._all:
+            with self._taken([process]):  # whoever asked has been told by now
+                process.close()
+
+    @contextlib.contextmanager
+    def _taken(self, those: Sequence[_Process]) -> Iterator[_Process]:
+        """One of those, as soon as one has time."""
+        with self._freed:
+            while not (free := [process for process in self._free if process in those]):
+                self._freed.wait()
+            self._free.remove(free[0])
+        try:
+            yield free[0]
+        finally:
+            with self._freed:
+                self._free.append(free[0])
+                self._freed.notify_all()
 
 
 class RemoteDetector:
@@ -243,10 +307,13 @@ class RemoteDetector:
             RuntimeError: something else was raised there.
             ProcessEndedError: the process ended.
         """
-        detection: Detection = self._processes.ask(
-            "detect", self._key, gripper, filters, viewpoint, arrays=[points, colors]
-        )
+        given = gripper, filters, viewpoint
+        detection: Detection = self._processes.ask("detect", self._key, *given, arrays=[points, colors])
         return detection
+
+    def warm_up(self, points: npt.NDArray[Any], gripper: Gripper, colors: npt.NDArray[Any]) -> None:
+        """Detect in each of the processes, one after the other."""
+        self._processes.ask_each("detect", self._key, gripper, None, None, arrays=[points, colors])
 
 
 # -- in the other one --------------------------------------------------------------------------------------------------
@@ -259,14 +326,14 @@ class _Server:
         self._room = room
         self._detectors: dict[Key, GraspDetector] = {}
 
-    def answer(self, task: str, key: Key, given: tuple[Any, ...]) -> Any:
+    def answer(self, task: str, key: Key, places: list[_Place | None], given: tuple[Any, ...]) -> Any:
         detector = self._detectors.pop(key, None) or GraspDetector(*key)
         self._detectors[key] = detector
         while len(self._detectors) > _KEPT:  # those that were asked for longest ago
             del self._detectors[next(iter(self._detectors))]
         if task == "prepare":
             return detector.model, detector.device
-        places, gripper, filters, viewpoint = given
+        gripper, filters, viewpoint = given
         points, colors = self._room.arrays(places)
         assert points is not None
         return detector.detect(points, gripper, colors, filters=filters, viewpoint=viewpoint)
@@ -277,24 +344,23 @@ def serve(line: Connection, room: _Room) -> None:
     server = _Server(room)
     while True:
         try:
-            task, key, given = line.recv()
+            question = line.recv()
         except (EOFError, OSError):
             return
         try:
-            answer = True, server.answer(task, key, given)
+            answer = True, server.answer(*question)
         except InvalidInputError as error:
             answer = False, error
         except Exception as error:
             print("".join(traceback.format_exception(error)), file=sys.stderr)
             answer = False, f"{type(error).__name__}: {error}"
         with contextlib.suppress(OSError):
-            line.send(answer)
+            line.send(answer)  # an error that cannot be sent ends the process
 
 
 def main() -> int:
     """The program of a process: file descriptors of the line and the room, and the number of threads."""
     line, room, threads = (int(argument) for argument in sys.argv[1:4])
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C reaches all processes; the node ends this one
     keep_freed_memory()
     use_threads(threads)
     serve(Connection(line), _Room(room))

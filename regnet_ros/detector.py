@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,9 +76,11 @@ class Detector(GraspNode[DetectorParameters]):
 
     def destroy_node(self) -> None:
         """End the work and release everything (rclpy's method)."""
-        super().destroy_node()
-        if self._processes is not None:
-            self._processes.end()
+        try:
+            super().destroy_node()
+        finally:
+            if self._processes is not None:
+                self._processes.end()
 
     def at_a_time(self) -> int:
         """As many as the parameters say."""
@@ -233,11 +234,10 @@ class Detector(GraspNode[DetectorParameters]):
         start, points = time.perf_counter(), made_up_cloud()
         colors = np.full(points.shape, 128, np.uint8)
         try:
-            if self._processes is None:
+            if isinstance(detector, RemoteDetector):
+                detector.warm_up(points, settings.gripper, colors)
+            else:
                 detector.detect(points, settings.gripper, colors)
-            else:  # a process that is at it is not asked again
-                with ThreadPoolExecutor(settings.at_a_time) as pool:
-                    list(pool.map(lambda _: detector.detect(points, settings.gripper, colors), self._processes.numbers))
         except RuntimeError as error:
             raise ModelError(f"model '{detector.model}' does not run on '{detector.device}': {error}") from error
         self._warm.add(wanted)

@@ -18,7 +18,8 @@ def as_array(values: torch.Tensor) -> npt.NDArray[Any]:
 
 
 def put_rows(room: torch.Tensor, rows: torch.Tensor, found: torch.Tensor) -> None:
-    """Write rows (n, C) into rows (n,) of (N, C) of the same type. On a CPU."""
+    """Write rows (n, C) into rows (n,) of (N, C), contiguous and of the same type. On a CPU, without gradients."""
+    assert room.is_contiguous() and room.dtype == found.dtype and not found.requires_grad
     for_each_range(_put, len(rows), 0.3 * room.shape[1], rows.numpy(), as_array(found), as_array(room))
 
 

@@ -96,7 +96,7 @@ def _own_cores() -> int:
         return 1
     if getattr(_thread, "inside", 0):
         return max(available_cores() // max(_under_way, 1), 1)
-    return max(available_cores() - _under_way, 1)
+    return max(available_cores() - max(_under_way, 0), 1)
 
 
 def for_each_range(loop: Callable[..., None], count: int, each: float, *arguments: object) -> None:
@@ -109,6 +109,9 @@ def for_each_range(loop: Callable[..., None], count: int, each: float, *argument
         each: about how long a turn takes on one core [ns].
         arguments: what numba can hand over; ranges write to disjoint parts of them, so that the result does not depend
             on how many threads there are.
+
+    Raises:
+        RuntimeError: a range failed, and the loop as a whole, done again, did not.
     """
     cores = _own_cores()
     pieces = min(cores * 4, count, int(count * each / _WORTH))
@@ -119,9 +122,13 @@ def for_each_range(loop: Callable[..., None], count: int, each: float, *argument
     try:
         done = team.run(_shared(loop), count, pieces, cores - 1, arguments)
     finally:
-        _idle.append(team)
+        if team.members == available_cores() - 1:
+            _idle.append(team)
+        else:  # use_cores was called meanwhile
+            team.end()
     if not done:
         loop(0, count, *arguments)  # raises what was raised in a thread that nobody asks
+        raise RuntimeError(f"a range of the loop {loop.__name__} failed")
 
 
 def _take_team() -> Team:

@@ -22,6 +22,7 @@ from types import FunctionType
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -254,6 +255,11 @@ def can_have_teams() -> bool:
     return sys.platform.startswith("linux")
 
 
+def _stay(memory: npt.NDArray[np.uint8], board: int) -> None:
+    """What a member's thread does; it holds the board's memory as long."""
+    _serve(board)
+
+
 class Team:
     """So many threads besides the one that asks; one loop at a time."""
 
@@ -264,11 +270,15 @@ class Team:
         if ctypes.CDLL(None).sem_init(ctypes.c_void_p(self._board + _SEMAPHORE), 0, 0) != 0:
             raise OSError("the system has no semaphores for threads")
         self.threads = [
-            threading.Thread(target=_serve, args=(self._board,), name=f"regnet-ops {number}", daemon=True)
+            threading.Thread(target=_stay, args=(self._memory, self._board), name=f"regnet-ops {number}", daemon=True)
             for number in range(members)
         ]
-        for thread in self.threads:
-            thread.start()
+        try:
+            for thread in self.threads:
+                thread.start()
+        except BaseException:  # the system has no more threads
+            _end(self._board)
+            raise
         atexit.register(self.end)
 
     def run(self, shared: Any, count: int, pieces: int, helpers: int, arguments: tuple[Any, ...]) -> bool:
@@ -280,7 +290,7 @@ class Team:
         _end(self._board)
         for thread in self.threads:
             thread.join(1.0)
-        atexit.unregister(self.end)
+        atexit.unregister(self.end)  # a thread that is late keeps the memory
 
     def sleeping(self) -> int:
         """How many members sleep."""

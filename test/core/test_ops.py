@@ -104,7 +104,9 @@ def test_a_forked_process_can_go_on_working() -> None:
     script = """
 import os, signal
 import numpy as np
+from regnet_core.ops import parallel
 from regnet_core.ops.local_planes import local_planes
+parallel._cores_of_the_process = lambda: 2
 points = np.random.default_rng(0).random((5000, 3))
 def work():
     return int(local_planes(points, 0.1).neighbours.sum())

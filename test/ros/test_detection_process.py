@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from clouds import SCENE
 
 from regnet_core import CloudError, Detection, GraspDetector, GraspFilters, Gripper, ModelError
 from regnet_core.detector import DetectorConfig
-from regnet_ros.detection_process import DetectionProcesses, ProcessEndedError, RemoteDetector
+from regnet_ros.detection_process import DetectionProcesses, ProcessEndedError, RemoteDetector, _Running
 
 CONFIG = DetectorConfig(max_grasps=40)
 CAMERA = np.array([0.0, 0.0, 1.5])
@@ -35,6 +38,34 @@ def remote(processes: DetectionProcesses) -> RemoteDetector:
 @pytest.fixture(scope="module")
 def here() -> GraspDetector:
     return GraspDetector("antipodal", config=CONFIG)
+
+
+def alive(number: int) -> bool:
+    """Whether there is such a process, and it has not ended."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def kill(processes: DetectionProcesses) -> None:
+    """Kill all of them, and wait for it."""
+    for process in processes._all:
+        assert process._running is not None
+        process._running.program.kill()
+        process._running.program.wait(60)
+
+
+def descriptors() -> int:
+    """How many this process has open."""
+    return len(os.listdir("/proc/self/fd"))
+
+
+def wait_until(there: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not there():
+        assert time.monotonic() < end, "it did not come to this within a minute"
+        time.sleep(0.01)
 
 
 def assert_same(found: Detection, expected: Detection) -> None:
@@ -81,26 +112,79 @@ def test_errors_are_those_of_the_library(processes: DetectionProcesses, remote: 
     assert len(remote.detect(SCENE).grasps) == 40
 
 
-def test_a_process_that_was_ended_is_started_again(
+def test_a_process_that_was_ended_between_two_clouds_is_started_again(
     processes: DetectionProcesses, remote: RemoteDetector, here: GraspDetector
 ) -> None:
     ended = processes.numbers
-    for number in ended:
-        os.kill(number, signal.SIGKILL)
-    for _ in ended:
-        with pytest.raises(ProcessEndedError, match=r"ended \(signal SIGKILL\); it is started again"):
-            remote.detect(SCENE)
-    assert not set(ended) & set(processes.numbers)
-    for _ in ended:
+    kill(processes)
+    for _ in ended * 2:
         assert_same(remote.detect(SCENE), here.detect(SCENE))
+    assert len(processes.numbers) == 2 and not set(ended) & set(processes.numbers)
 
 
-def test_nothing_is_left_at_the_end() -> None:
+def test_a_process_that_is_ended_in_the_middle_of_a_detection(
+    processes: DetectionProcesses, remote: RemoteDetector, here: GraspDetector
+) -> None:
+    for number in processes.numbers:
+        os.kill(number, signal.SIGSTOP)  # it will be in the middle for as long as we like
+    with ThreadPoolExecutor(2) as pool:
+        asked = [pool.submit(remote.detect, SCENE) for _ in range(2)]
+        time.sleep(0.05)
+        assert not any(one.done() for one in asked)
+        for number in processes.numbers:
+            os.kill(number, signal.SIGKILL)
+        for one in asked:
+            with pytest.raises(ProcessEndedError, match="the process that detects was ended: signal SIGKILL"):
+                one.result(timeout=60)
+    assert_same(remote.detect(SCENE), here.detect(SCENE))
+
+
+def test_one_that_cannot_be_started_is_tried_again(
+    processes: DetectionProcesses, remote: RemoteDetector, here: GraspDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(threads: int) -> _Running:
+        raise OSError("no more memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_Running, "start", refuse)
+        kill(processes)
+        for _ in range(3):
+            with pytest.raises(ProcessEndedError, match="cannot be started: no more memory"):
+                remote.detect(SCENE)
+        assert processes.numbers == []
+    assert_same(remote.detect(SCENE), here.detect(SCENE))
+
+
+def test_the_end_in_the_middle_of_a_detection() -> None:
+    before = descriptors()
     made = DetectionProcesses(2)
-    made.detector("random", "cpu", 0, CONFIG)
-    numbers = made.numbers
+    remote, numbers = made.detector("random", "cpu", 0, CONFIG), made.numbers
+    for number in numbers:
+        os.kill(number, signal.SIGSTOP)
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(remote.detect, SCENE)
+        time.sleep(0.05)
+        made.end()
+        with pytest.raises(ProcessEndedError, match="was ended: signal SIGKILL"):
+            asked.result(timeout=60)
+    with pytest.raises(ProcessEndedError, match="have been ended"):
+        remote.detect(SCENE)
+    assert made.numbers == [] and not any(alive(number) for number in numbers)
     made.end()
-    deadline = time.monotonic() + 20.0
-    while any(os.path.exists(f"/proc/{number}") for number in numbers):
-        assert time.monotonic() < deadline, "a process is still there"
-        time.sleep(0.01)
+    assert descriptors() == before
+
+
+def test_a_process_ends_when_nobody_is_there_to_ask() -> None:
+    script = """
+import os
+from regnet_core.detector import DetectorConfig
+from regnet_ros.detection_process import DetectionProcesses
+made = DetectionProcesses(2)
+made.detector("random", "cpu", 0, DetectorConfig())
+print(*made.numbers, flush=True)
+os.kill(os.getpid(), 9)
+"""
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, timeout=120)
+    numbers = [int(word) for word in done.stdout.split()]
+    assert len(numbers) == 2
+    wait_until(lambda: not any(alive(number) for number in numbers))
