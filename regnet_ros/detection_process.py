@@ -1,6 +1,6 @@
 """Detections in processes of their own: what else a node does, such as receiving clouds, does not hold them up.
 
-Threads of one Python process wait for each other: a detection asks for the interpreter's lock a thousand times, and
+Threads of one Python process wait for each other: a detection asks for the interpreter's lock at every step, and
 two at a time took half as long again as each in a process of its own, which has its own interpreter. Clouds reach it in
 memory that both see. One that was ended, for want of memory for instance, is started again; the next detection there
 takes some seconds longer.
