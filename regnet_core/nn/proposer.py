@@ -41,7 +41,7 @@ class NetworkProposer:
     @torch.inference_mode()
     def propose(self, scene: Scene, gripper: Gripper, focus: Mask | None, rng: np.random.Generator) -> Proposals:
         """The refined grasps of the most confident points that are in focus."""
-        # The hidden sides are not needed: they may still be in the making.
+        # Of the objects only what the camera saw, without the hidden sides that were made up.
         seen = scene.seen if focus is None else scene.seen[focus[: len(scene.seen)]]
         if len(seen) == 0:
             return Proposals(Grasps.empty(), 0)

@@ -11,8 +11,8 @@ from threading import Lock, local
 from regnet_core.ops.team import Team, can_have_teams, shared
 
 _WORTH = 10_000
-"""A piece of work that takes so long is worth a core's while [ns]: members of a team are at it within a microsecond or
-two where they have just had something to do."""
+"""A piece of work that takes so long is worth a core's while [ns]: members of a team are at it within two microseconds
+where they have just had something to do."""
 _limit: int | None = None
 _thread = local()
 """What is said of the thread that asks."""

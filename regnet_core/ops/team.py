@@ -2,8 +2,8 @@
 
 To give a piece of work to another thread of Python takes a tenth of a millisecond: it has to be woken, and both need
 the interpreter's lock. Most loops of a detection take less than that. Members of a team stay in compiled code: they
-look at a board in memory for what there is to do, about a microsecond after it was put there, and go to sleep when
-nothing has come for a while. A piece of work there is the address of a function and that of its arguments.
+look at a board in memory for what there is to do, are at it within two microseconds, and go to sleep when nothing has
+come for a while. A piece of work there is the address of a function and that of its arguments.
 
 numba has neither atomic numbers nor addresses of functions; these few operations are written as LLVM's intermediate
 code. The threads sleep at a semaphore of POSIX (Linux: sem_wait(3)).

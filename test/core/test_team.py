@@ -73,11 +73,14 @@ def test_members_take_a_share(team: Team) -> None:
     turns = np.zeros(1, np.int64)
 
     def by_members() -> bool:
-        before = team.joined()
         team.run(shared(count), 1, 1, team.members, (turns,))
-        return team.joined() > before
+        return team.joined() > 0
 
+    assert team.joined() == 0
     wait_until(by_members)
+    before = team.joined()
+    team.run(shared(count), 1, 1, 0, (turns,))  # nobody but this thread may
+    assert team.joined() == before
 
 
 def test_loops_get_arrays_tuples_and_numbers(team: Team) -> None:
