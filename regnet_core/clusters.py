@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from regnet_core.geometry import Array, Mask
-from regnet_core.ops.cells import bounds_of_cells, cells_below, flat_cells, less_one, mark
+from regnet_core.ops.cell_map import CellMap
+from regnet_core.ops.cells import cells_below
 from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 
 Index = npt.NDArray[np.int64]
 
-_DENSE = 4_000_000
-"""Up to so many cells are marked on a map; more are sorted."""
+_MAIN = 0.1
+"""Patches of the ground with fewer points than this share of the largest one's are not what things stand on."""
 _STRIDE = np.int64(1) << 31
 """Combines two cell indices into one key; points within 1000 m have far smaller indices."""
 
@@ -25,7 +25,7 @@ _STRIDE = np.int64(1) << 31
 class Clusters(NamedTuple):
     """Points (N, 3) grouped by connected cells of a horizontal grid."""
 
-    label: npt.NDArray[np.int64]
+    label: npt.NDArray[np.signedinteger]
     """(N,): number of each point's cluster, from 0."""
     size: npt.NDArray[np.int64]
     """(K,): number of points of each cluster."""
@@ -46,27 +46,19 @@ class Clusters(NamedTuple):
         return np.maximum(*sides)
 
 
-def cluster(points: Array, cell: float = 0.02) -> Clusters:
-    """Group points (N, 3) whose horizontal cells of edge length ``cell`` [m] touch, at a side or a corner.
+def cluster(points: npt.NDArray[Any], cell: float = 0.02) -> Clusters:
+    """Group points (N, >= 2) whose horizontal cells of edge length ``cell`` [m] touch, at a side or a corner.
 
     Clusters are numbered by their first cell, the one of least x and, among those, of least y.
     """
     if len(points) == 0:
         return Clusters(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    index = cells_below(points, cell)
-    low, high = bounds_of_cells(index)
-    across = int(high[1] - low[1]) + 1
-    count = (int(high[0] - low[0]) + 1) * across
-    label = _on_a_map(index, low, across, count) if count <= _DENSE else _by_keys(index)
-    return Clusters(label, np.bincount(label))
-
-
-def _on_a_map(index: Index, low: Index, across: int, count: int) -> Index:
-    """(N,): the cluster of the points in cells (N, 2) of a map that begins at the cell ``low``."""
-    flat, seen = flat_cells(index, low, across), np.zeros(count, np.bool_)
-    mark(seen, flat)
-    labels, _ = ndimage.label(seen.reshape(-1, across), np.ones((3, 3)))
-    return less_one(labels.reshape(-1), flat)
+    cells = CellMap.of(points, cell)
+    if cells is None:
+        label = _by_keys(cells_below(points, cell))
+        return Clusters(label, np.bincount(label))
+    group, size = cells.groups()
+    return Clusters(cells.of_points(group), size)
 
 
 def _by_keys(index: Index) -> Index:
@@ -117,21 +109,30 @@ def structure(
     return result
 
 
-def beyond(points: Array, ground: Array, margin: float = 0.1, max_width: float = 0.5) -> Mask:
+def _main_corners(ground: npt.NDArray[Any], cell: float) -> Index:
+    """Rows of points (P, >= 2) among which all corners of the hull of the main patches are."""
+    cells = CellMap.of(ground, cell)
+    if cells is None:
+        patches = cluster(ground, cell)
+        return np.flatnonzero((patches.size >= _MAIN * patches.size.max())[patches.label])
+    group, size = cells.groups()
+    wanted = np.append(size >= _MAIN * size.max(), False)[group]
+    return corner_candidates(ground, cells, wanted)
+
+
+def beyond(points: Array, ground: npt.NDArray[Any], margin: float = 0.1, max_width: float = 0.5) -> Mask:
     """(N,): which points belong to wide things that stand beside the support plane rather than on it.
 
     Args:
         points: (N, 3) [m].
-        ground: (P, 3), what was seen of the support plane [m].
+        ground: (P, >= 2), what was seen of the support plane [m].
         margin: how far past the outline of the ground an object may reach [m].
         max_width: what is beside it and no wider than this may still be an object [m].
     """
     result = np.zeros(len(points), bool)
-    patches = cluster(ground, cell=0.05)
     if len(points) == 0 or len(ground) < 4:
         return result
-    main = (patches.size >= 0.1 * patches.size.max())[patches.label]
-    outline = convex_outline(ground[corner_candidates(ground, main)])
+    outline = convex_outline(ground, _main_corners(ground, cell=0.05))
     beside = np.flatnonzero(outside(points, outline, margin))
     if len(beside) == 0:
         return result

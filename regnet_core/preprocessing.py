@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from regnet_core.checks import as_transform, is_number, is_whole, shown
 from regnet_core.errors import CloudError, InvalidInputError
-from regnet_core.geometry import Array, Box
+from regnet_core.geometry import Box
 from regnet_core.ops.rows import taken
-from regnet_core.pointcloud import Index, place_points, random_sample, voxel_downsample
+from regnet_core.pointcloud import as_points, place_points, random_sample, voxel_downsample
 from regnet_core.report import StepRecorder, StepReport
 
 
@@ -28,7 +28,7 @@ class PreprocessingConfig:
     voxel_size: float = 0.0
     """Edge length of the voxels of which one point each is kept [m]; 0 keeps all points."""
     max_points: int = 0
-    """Most points to keep, drawn at random; 0 keeps all."""
+    """Most points to keep, drawn at random, without voxels evenly along the rows of the cloud; 0 keeps all."""
     seed: int = 0
     """Of the random draw: the same cloud gives the same result."""
 
@@ -49,8 +49,8 @@ class PreprocessingConfig:
 class Preprocessed:
     """The prepared cloud, in the target frame."""
 
-    points: Array
-    """(N, 3) finite coordinates [m]."""
+    points: npt.NDArray[np.float32]
+    """(N, 3) coordinates [m], as messages hold them; finite, as far as a float32 can hold them."""
     colors: npt.NDArray[np.uint8] | None
     """(N, 3), where the input had colours."""
     steps: tuple[StepReport, ...]
@@ -79,24 +79,25 @@ def preprocess(
     """
     config = config or PreprocessingConfig()
     matrix = as_transform("T_target_source", T_target_source)
-    rng, recorder = np.random.default_rng(config.seed), StepRecorder()
-    with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
-        placed = place_points(points, matrix, config.workspace)
-        step.kept, step.rejected = placed.valid, len(np.asarray(points)) - placed.valid
+    thin, most, recorder = config.voxel_size > 0.0, config.max_points or None, StepRecorder()
+    with recorder.step("valid points") as step:  # and, at once, the work of the next steps, but for voxels
+        given = as_points(points)
+        placed = place_points(given, matrix, config.workspace, None if thin else most, config.seed, np.float32)
+        step.kept, step.rejected = placed.valid, len(given) - placed.valid
     if colors is not None and np.shape(colors) != np.shape(points):
         raise CloudError(f"colors must have shape {np.shape(points)}, one row for each point, got {np.shape(colors)}")
     with recorder.step("workspace") as step:
-        step.kept, step.rejected = len(placed.points), placed.valid - len(placed.points)
+        step.kept, step.rejected = placed.inside, placed.valid - placed.inside
     with recorder.step("down-sampling") as step:
-        kept = _thinned(placed.points, config, rng)
-        step.kept, step.rejected = len(kept), len(placed.points) - len(kept)
-    chosen = None if colors is None else np.asarray(colors)[placed.rows[kept]]
-    return Preprocessed(taken(placed.points, kept), chosen, tuple(recorder.steps), _reason(recorder.steps, config))
-
-
-def _thinned(points: Array, config: PreprocessingConfig, rng: np.random.Generator) -> Index:
-    kept = voxel_downsample(points, config.voxel_size) if config.voxel_size > 0.0 else np.arange(len(points))
-    return kept[random_sample(len(kept), config.max_points, rng)] if config.max_points > 0 else kept
+        left, rows = placed.points, placed.rows
+        if thin:
+            kept = voxel_downsample(left, config.voxel_size)
+            if most is not None:
+                kept = kept[random_sample(len(kept), most, np.random.default_rng(config.seed))]
+            left, rows = taken(left, kept, np.float32), rows[kept]
+        step.kept, step.rejected = len(left), placed.inside - len(left)
+    chosen = None if colors is None else np.asarray(colors)[rows]
+    return Preprocessed(left, chosen, tuple(recorder.steps), _reason(recorder.steps, config))
 
 
 def _reason(steps: list[StepReport], config: PreprocessingConfig) -> str:

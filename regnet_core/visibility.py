@@ -7,15 +7,14 @@ there.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
 from regnet_core.gripper import Gripper
-from regnet_core.ops.cells import mark_nearest
-from regnet_core.ops.squares import closed
+from regnet_core.ops.cells import seen_from_above
 from regnet_core.ops.voxel_grid import bounds
 
 _MAX_CELLS = 4_000_000
@@ -63,22 +62,21 @@ class UnseenGround(NamedTuple):
         return ~inside | self.unseen[index[..., 0], index[..., 1]]
 
 
-def unseen_ground(plane_points: Array, object_points: Array, cell: float = 0.006) -> UnseenGround | None:
-    """Map what was seen of the ground, from the points on the plane (P, 3) and on the objects (S, 3) [m].
+def unseen_ground(
+    plane_points: npt.NDArray[Any], object_points: npt.NDArray[Any], cell: float = 0.006
+) -> UnseenGround | None:
+    """Map what was seen of the ground, from the points on the plane (P, >= 2) and on the objects (S, >= 2) [m].
 
     Gaps of up to two cells between points are closed. None when the map would be too large.
     """
-    parts = [np.ascontiguousarray(points) for points in (plane_points, object_points) if len(points) > 0]
-    if not parts:
+    corners = [bounds(points) for points in (plane_points, object_points) if len(points) > 0]
+    if not corners:
         return None
     pad = 4
-    corners = [bounds(points) for points in parts]
-    low = np.min([lower[:2] for lower, _ in corners], axis=0) - pad * cell
+    low = np.min([lower[:2] for lower, _ in corners], axis=0).astype(np.float64) - pad * cell
     high = np.max([upper[:2] for _, upper in corners], axis=0)
-    shape = np.round((high - low) / cell).astype(np.int64) + 1 + pad
-    if float(shape[0]) * float(shape[1]) > _MAX_CELLS:
+    nx, ny = (int(number) for number in np.round((high - low) / cell).astype(np.int64) + 1 + pad)
+    if float(nx) * float(ny) > _MAX_CELLS:
         return None
-    seen = np.zeros(shape, bool)
-    for points in parts:
-        mark_nearest(points, low, cell, seen)
-    return UnseenGround(~closed(seen, 1), low, cell)
+    seen = seen_from_above((plane_points, object_points), low, cell, (nx, ny), 1)
+    return UnseenGround(~seen, low, cell)

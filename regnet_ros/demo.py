@@ -36,8 +36,9 @@ from regnet_core.cli.results import Result
 from regnet_core.cli.tables import make_console, print_result
 from regnet_core.detector import Detection
 from regnet_core.errors import RegnetError
-from regnet_core.pointcloud import fit_support_plane, validate_points
+from regnet_core.pointcloud import validate_points
 from regnet_core.policy import Selection, make_policy
+from regnet_core.support_plane import fit_support_plane
 from regnet_ros.conversions import cloud_from_message, grasps_from_messages, gripper_from_message, report_from_message
 from regnet_ros.inputs import LATCHED_QOS, OUTPUT_QOS
 

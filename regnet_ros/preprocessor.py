@@ -15,10 +15,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from regnet_core.geometry import Array, Plane
-from regnet_core.pointcloud import fit_support_plane
+from regnet_core.geometry import Plane
 from regnet_core.preprocessing import preprocess
 from regnet_core.report import StepRecorder, StepReport
+from regnet_core.support_plane import fit_support_plane
 from regnet_ros.conversions import cloud_from_message, cloud_to_message
 from regnet_ros.frames import SensorFrames
 from regnet_ros.inputs import LATCHED_QOS, NEXT_CLOUD, OUTPUT_QOS
@@ -112,7 +112,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
             result = preprocess(decoded.points, decoded.colors, T_target_cloud, settings.config)
         prepared = time.perf_counter()
         header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
-        cloud = PreparedCloud(header, result.points.astype(np.float32), result.colors)
+        cloud = PreparedCloud(header, result.points, result.colors)
         taker = self._taker  # the detector may be cleaned up meanwhile
         if taker is None:
             self._cloud.publish(cloud_to_message(*cloud))
@@ -145,7 +145,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         )
 
 
-def _support_plane(points: Array, seed: int) -> tuple[Plane | None, StepReport]:
+def _support_plane(points: npt.NDArray[np.float32], seed: int) -> tuple[Plane | None, StepReport]:
     recorder = StepRecorder()
     with recorder.step("support plane") as step:
         plane = fit_support_plane(points, np.random.default_rng(seed))

@@ -110,7 +110,9 @@ class PreprocessorParameters(SensorParameters):
         "this is false, as many as come.",
     )
     voxel_size: float = parameter(
-        0.0, "Edge length of the voxels that keep one point each [m]; 0 keeps all points.", limits=(0.0, 0.5)
+        0.0,
+        "Edge length of the voxels that keep one point each [m]; 0 keeps all points. The detector thins by itself.",
+        limits=(0.0, 0.5),
     )
     max_points: int = parameter(0, "Most points to publish, drawn at random; 0 publishes all.", limits=(0, 10_000_000))
     seed: int = parameter(0, "Seed of the random draw and of the plane's fit.", limits=(0, 2**31 - 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from geometry_msgs.msg import Point, Vector3
 from regnet_msgs.msg import SelectedGrasp
 from std_msgs.msg import ColorRGBA, Header
@@ -11,6 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from regnet_core.geometry import Array, Box, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.ops.voxel_grid import bounds
 from regnet_ros.conversions import grasps_from_messages, gripper_from_message, pose_to_message, poses_to_messages
 
 _LINE_WIDTH = 0.002
@@ -77,14 +79,14 @@ def selection_markers(selected: SelectedGrasp) -> MarkerArray:
     return MarkerArray(markers=[*markers, way])
 
 
-def plane_marker(header: Header, plane: Plane | None, points: Array) -> Marker:
+def plane_marker(header: Header, plane: Plane | None, points: npt.NDArray[np.floating]) -> Marker:
     """The support plane as a thin plate under the points (N, 3); a deletion when there is none."""
     marker = _marker(header, "support_plane", 0, Marker.CUBE, _PLANE)
     if plane is None or len(points) == 0:
         marker.action = Marker.DELETE
         return marker
     normal = np.asarray(plane.normal)
-    lower, upper = points.min(axis=0), points.max(axis=0)
+    lower, upper = (corner.astype(np.float64) for corner in bounds(points))
     middle = (lower + upper) / 2
     x = np.cross([0.0, 1.0, 0.0], normal)
     x /= np.linalg.norm(x)

@@ -23,9 +23,9 @@ from regnet_core.geometry import Array, pose_matrix
 from regnet_core.grasps import Grasps
 from regnet_core.io.bags import BagCloud, read_bag_clouds
 from regnet_core.models import DEFAULT_MODEL
-from regnet_core.pointcloud import fit_support_plane
 from regnet_core.policy import select
 from regnet_core.preprocessing import preprocess
+from regnet_core.support_plane import fit_support_plane
 from regnet_ros.parameters import NodeParameters, Table, checked_value
 from regnet_ros.settings import DetectorParameters, PreprocessorParameters, SelectorParameters
 

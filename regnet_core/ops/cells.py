@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from regnet_core.geometry import Array, Mask
+from regnet_core.geometry import Array
+from regnet_core.ops.cell_map import CellMap
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.squares import closed_loop
 
 
 def cells_below(points: npt.NDArray[Any], cell: float) -> npt.NDArray[np.int64]:
@@ -18,103 +20,97 @@ def cells_below(points: npt.NDArray[Any], cell: float) -> npt.NDArray[np.int64]:
     return index
 
 
-_MAP = 4_000_000
-"""Cells of the largest map that is made to count those with points."""
-
-
 def cells_with_points(points: npt.NDArray[Any], cell: float) -> int:
     """How many cells there are with points (N, >= 2), by x and y."""
     if len(points) == 0:
         return 0
-    index = cells_below(points, cell)
-    low, high = bounds_of_cells(index)
-    size = high - low + 1
-    if float(size[0]) * float(size[1]) > _MAP:
-        return len(np.unique(index, axis=0))
-    seen = np.zeros(int(size[0] * size[1]), np.bool_)
-    seen[flat_cells(index, low, size[1])] = True
-    return int(np.count_nonzero(seen))
+    found = CellMap.of(points, cell)
+    return len(np.unique(cells_below(points, cell), axis=0)) if found is None else int(np.count_nonzero(found.number))
 
 
-@compiled
-def bounds_of_cells(index):  # type: ignore[no-untyped-def]
-    """The least and the largest cell (2,) along each axis of cells (N, 2), N > 0."""
-    i0 = i1 = index[0, 0]
-    j0 = j1 = index[0, 1]
-    for p in range(len(index)):
-        i0, i1 = min(i0, index[p, 0]), max(i1, index[p, 0])
-        j0, j1 = min(j0, index[p, 1]), max(j1, index[p, 1])
-    return np.array([i0, j0]), np.array([i1, j1])
+class Carried(NamedTuple):
+    """What each of P planes is seen to be, and to carry."""
+
+    area: Array
+    """(P,): of the cells in which it was seen [m2]."""
+    points: npt.NDArray[np.int64]
+    """(P,): points that stand on it, above where it was seen or gaps of that; 0 for planes of less than ``least``."""
 
 
-@compiled
-def flat_cells(index, low, across):  # type: ignore[no-untyped-def]
-    """(N,): the number of each cell (N, 2) on a map that begins at the cell ``low`` and is ``across`` cells wide."""
-    flat = np.empty(len(index), np.int64)
-    for p in range(len(index)):
-        flat[p] = (index[p, 0] - low[0]) * across + index[p, 1] - low[1]
-    return flat
-
-
-def mark_slab(
+def carried(
     points: npt.NDArray[Any],
-    height: Array,
-    between: tuple[float, float],
-    low: Array,
+    planes: Array,
+    corners: tuple[Array, Array],
     cell: float,
-    rim: int,
-    marked: Mask,
-) -> None:
-    """Mark the cells (nx, ny) below the points (N, >= 2) whose heights (N,) are between two.
+    tolerance: float,
+    reach: float,
+    gap: int,
+    least: float,
+) -> Carried:
+    """Where planes were seen, and what stands there.
 
     Args:
-        points: all on the map [m].
-        height: of the points [m].
-        between: the two heights, not included [m].
-        low: (2,), the lower corner of cell (rim, rim) [m].
-        cell: edge length of a cell [m].
-        rim: how many cells the map begins before that one.
-        marked: what changes.
+        points: (N, 3) [m].
+        planes: (P, 4), unit normals and offsets [m].
+        corners: of the points' bounding box.
+        cell: edge length of the horizontal cells [m].
+        tolerance: a plane was seen where points are nearer than this; what stands on it is more than twice as high [m].
+        reach: what is higher says nothing [m].
+        gap: gaps of twice so many cells are closed.
+        least: only one of several planes that are larger than this can be looked for what it carries [m2].
     """
-    _in_slab(points, height, between, low, cell, rim, marked, True)
-
-
-def count_in_slab(
-    points: npt.NDArray[Any],
-    height: Array,
-    between: tuple[float, float],
-    low: Array,
-    cell: float,
-    rim: int,
-    marked: Mask,
-) -> int:
-    """How many of the points whose heights are between two are above marked cells; as for ``mark_slab``."""
-    return int(_in_slab(points, height, between, low, cell, rim, marked, False))
+    low, high = corners
+    size = ((high[:2] - low[:2]) / cell).astype(np.int64) + 1
+    seen = np.zeros((len(planes), size[0] + 2 * gap + 2, size[1] + 2 * gap + 2), np.uint8)
+    found = Carried(np.empty(len(planes)), np.zeros(len(planes), np.int64))
+    _carried(points, planes, low, cell, tolerance, reach, gap, least, seen, *found)
+    return found
 
 
 @compiled
-def _in_slab(points, height, between, low, cell, rim, marked, mark):  # type: ignore[no-untyped-def]
-    count = 0
+def _carried(points, planes, low, cell, tolerance, reach, gap, least, seen, areas, counts):  # type: ignore[no-untyped-def]
+    large = 0
+    for k in range(len(planes)):
+        _in_slab(points, planes[k], -tolerance, tolerance, low, cell, gap + 1, seen[k], True)
+        areas[k] = cell * cell * seen[k].sum()
+        large += areas[k] >= least
+    for k in range(len(planes)):
+        if large > 1 and areas[k] >= least:
+            filled = closed_loop(seen[k], gap)
+            counts[k] = _in_slab(points, planes[k], 2.0 * tolerance, reach, low, cell, gap + 1, filled, False)
+
+
+@compiled
+def _in_slab(points, plane, lowest, highest, low, cell, rim, marked, mark):  # type: ignore[no-untyped-def]
+    """Mark the cells below the points that are between two heights, or count the points above marked ones."""
+    count, a, b, c, d = 0, plane[0], plane[1], plane[2], plane[3]
     for p in range(len(points)):
-        if between[0] < height[p] < between[1]:
-            i, j = int((points[p, 0] - low[0]) / cell) + rim, int((points[p, 1] - low[1]) / cell) + rim
+        x, y = points[p, 0], points[p, 1]
+        height = a * x + b * y + c * points[p, 2] - d
+        if lowest < height < highest:
+            i, j = int((x - low[0]) / cell) + rim, int((y - low[1]) / cell) + rim
             if mark:
-                marked[i, j] = True
+                marked[i, j] = 1
             else:
                 count += marked[i, j]
     return count
 
 
-def mark_nearest(points: npt.NDArray[Any], low: Array, cell: float, marked: npt.NDArray[np.bool_]) -> None:
-    """Mark, in (nx, ny), the cell whose centre is nearest to each point (N, >= 2); all must be on the map.
+def seen_from_above(
+    parts: tuple[npt.NDArray[Any], npt.NDArray[Any]], low: Array, cell: float, shape: tuple[int, int], reach: int
+) -> npt.NDArray[np.bool_]:
+    """(nx, ny): the cells whose centres are nearest to points, and gaps of up to twice ``reach`` between them.
 
     Args:
-        points: (N, >= 2) [m].
+        parts: points (N, >= 2) [m], all on the map.
         low: (2,), the centre of cell (0, 0) [m].
         cell: edge length of a cell [m].
-        marked: what changes.
+        shape: nx, ny.
+        reach: [cells].
     """
-    _mark(points, low, cell, marked)
+    marked = np.zeros(shape, np.uint8)
+    grids = [tuple(points.dtype.type(number) for number in (low[0], low[1], 1.0 / cell)) for points in parts]
+    return _seen(parts[0], grids[0], parts[1], grids[1], marked, reach).view(np.bool_)  # type: ignore[no-any-return]
 
 
 def highest(points: npt.NDArray[Any], height: Array, low: Array, cell: float, shape: tuple[int, int]) -> Array:
@@ -148,24 +144,16 @@ def _floor(points, cell, index):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _mark(points, low, cell, marked):  # type: ignore[no-untyped-def]
+def _seen(some, grid, others, same_grid, marked, reach):  # type: ignore[no-untyped-def]
+    _mark(some, grid, marked)
+    _mark(others, same_grid, marked)
+    return closed_loop(marked, reach)
+
+
+@compiled
+def _mark(points, grid, marked):  # type: ignore[no-untyped-def]
+    x, y, per_metre = grid  # of the points' type
     for p in range(len(points)):
-        i = np.int64(np.rint((points[p, 0] - low[0]) / cell))
-        j = np.int64(np.rint((points[p, 1] - low[1]) / cell))
-        marked[i, j] = True
-
-
-@compiled
-def mark(marked, rows):  # type: ignore[no-untyped-def]
-    """Mark some of (M,), by their numbers (N,)."""
-    for i in range(len(rows)):
-        marked[rows[i]] = True
-
-
-@compiled
-def less_one(labels, rows):  # type: ignore[no-untyped-def]
-    """(N,) int64: one less than the numbers at places (N,) of (M,)."""
-    found = np.empty(len(rows), np.int64)
-    for i in range(len(rows)):
-        found[i] = labels[rows[i]] - 1
-    return found
+        i = np.int64(np.rint((points[p, 0] - x) * per_metre))
+        j = np.int64(np.rint((points[p, 1] - y) * per_metre))
+        marked[i, j] = 1

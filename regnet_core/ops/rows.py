@@ -1,21 +1,22 @@
-"""Which rows of a cloud stay: valid ones, those in the workspace, and the first in each voxel. One pass each."""
+"""Which rows of a cloud stay: valid ones, those in the workspace, and some drawn at random. A pass or two each."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled
+from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import bounds
 
 _HASH = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: its multiples are spread evenly."""
-_NONE = np.uint64(0xFFFFFFFFFFFFFFFF)
-"""The number of no voxel."""
+_FEW = 4
+"""Less than one of so many is few."""
+_UNIT = 2.0**-53
+"""Makes a number in [0, 1) of 53 bits."""
 
 
 def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64]:
@@ -24,25 +25,62 @@ def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64
     return rows[: _valid(points, largest, rows)]
 
 
+class MovedRows(NamedTuple):
+    """Points in another frame."""
+
+    points: npt.NDArray[Any]
+    """(K, 3) in the target frame [m]."""
+    rows: npt.NDArray[np.int64]
+    """(K,): the rows that they were in, ascending."""
+    valid: int
+    """How many points there were that are valid, wherever they lie."""
+    inside: int
+    """How many of those lie in the box."""
+
+
 def moved_rows(
-    points: npt.NDArray[Any], transform: Array, largest: float, lower: Array, upper: Array
-) -> tuple[Array, npt.NDArray[np.int64], int]:
+    points: npt.NDArray[Any],
+    transform: Array,
+    largest: float,
+    lower: Array,
+    upper: Array,
+    most: int | None = None,
+    seed: int = 0,
+    dtype: type[np.floating] = np.float64,
+) -> MovedRows:
     """Valid points in another frame, where they lie in a box there.
 
     Args:
-        points: (N, 3) in the source frame [m].
+        points: (N, 3) in the source frame, in any layout [m].
         transform: (4, 4), the pose of the source frame in the target frame.
         largest: as in ``valid_rows``.
         lower: (3,) corner of the box in the target frame [m]; infinity has no limit.
         upper: (3,), likewise.
-
-    Returns:
-        The points (K, 3) in the target frame [m], the rows (K,) that they were in, ascending, and how many of the N
-        were valid.
+        most: where there are more, so many are drawn, spread evenly over the rows (jittered sampling: one from each of
+            as many runs of rows); None: all stay.
+        seed: of the draw.
+        dtype: of the result's points.
     """
-    moved, rows = np.empty((len(points), 3)), np.empty(len(points), np.int64)
-    kept, valid = _moved(points, transform, largest, lower, upper, moved, rows)
-    return moved[:kept], rows[:kept], valid
+    blocks = blocks_of_rows(len(points))
+    counts, there = np.empty((blocks, 2), np.int64), np.empty(len(points), np.int32)
+    limited, turns = bool(np.isfinite(lower).any() or np.isfinite(upper).any()), len(points) / blocks
+    for_each_range(
+        _list, blocks, 2 * turns, points, transform, largest, limited, lower, upper, counts, there
+    )  # fmt: skip
+    valid, inside = (int(number) for number in counts.sum(axis=0))
+    ends = np.cumsum(counts[:, 1])
+    if most is not None and most < inside:
+        ends = ends * most // inside
+    starts = np.append(0, ends)
+    moved, rows = np.empty((ends[-1], 3), dtype), np.empty(ends[-1], np.int64)
+    each = 6 * len(moved) / blocks
+    for_each_range(_put, blocks, each, points, transform, there, counts, starts, np.uint64(seed % 2**64), moved, rows)
+    return MovedRows(moved, rows, valid, inside)
+
+
+def blocks_of_rows(count: int) -> int:
+    """How many blocks of about a thousand; it does not depend on the machine, as what is drawn depends on it."""
+    return min(max(count // 1024, 1), 64)
 
 
 def rows_in_box(points: npt.NDArray[Any], lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
@@ -50,47 +88,36 @@ def rows_in_box(points: npt.NDArray[Any], lower: npt.NDArray[Any], upper: npt.ND
 
     Args:
         points: (N, 3).
-        lower: (3,) corner of the box, of the points' type.
+        lower: (3,) corner of the box.
         upper: (3,), likewise.
     """
     rows = np.empty(len(points), np.int64)
     return rows[: _inside(points, lower, upper, rows)]
 
 
-def first_in_voxels(points: Array, size: float) -> npt.NDArray[np.int64] | None:
-    """Rows of the first point in each cubic voxel of edge length ``size`` [m], ascending, for N > 0 points (N, 3).
+def chosen_rows(count: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """``size`` of ``count`` rows, ascending, each set of them as likely as any other; ``size`` is at most ``count``.
 
-    None where there could be more voxels than 64 bits can number.
-    """
-    low, high = bounds(points)
-    shape = np.floor((high - low) / size) + 1.0
-    if not float(np.prod(shape)) < 2.0**62:
-        return None
-    numbers = np.empty(len(points), np.uint64)
-    for_each_range(_number, len(points), 3, points, low, size, shape, numbers)
-    rows, bits = np.empty(len(points) + 1, np.int64), max((2 * len(points) - 1).bit_length(), 1)
-    table = np.full(1 << bits, _NONE, np.uint64)
-    return rows[: _first(numbers, table, np.uint64(64 - bits), rows)]
-
-
-def chosen_rows(draws: npt.NDArray[np.float32], size: int) -> npt.NDArray[np.int64]:
-    """``size`` of N rows, ascending, each set of them as likely as any other.
-
-    Each row is taken with the chance of what is still wanted among what is still to come (selection sampling, Knuth,
-    "The Art of Computer Programming", vol. 2, algorithm S).
-
-    Args:
-        draws: (N,) random numbers in [0, 1).
-        size: at most N.
+    Few are drawn one by one, again where one is there already. Otherwise each row is taken with the chance of what is
+    still wanted among what is still to come (selection sampling, Knuth, "The Art of Computer Programming", vol. 2,
+    algorithm S), in blocks whose shares are drawn before.
     """
     rows = np.empty(size + 1, np.int64)
-    _choose(draws, size, rows)
+    if size * _FEW < count:
+        _choose_few(count, size, rng.integers(2**64, dtype=np.uint64), rows)
+        return rows[:size]
+    blocks = blocks_of_rows(count)
+    limits = count * np.arange(blocks + 1) // blocks
+    wanted, key = rng.multivariate_hypergeometric(np.diff(limits), size), rng.integers(2**64, dtype=np.uint64)
+    for_each_range(_choose, blocks, 1.5 * count / blocks, limits, wanted, np.cumsum(wanted) - wanted, key, rows)
     return rows[:size]
 
 
-def taken(points: Array, rows: npt.NDArray[np.int64]) -> Array:
-    """(K, 3): rows (K,) of points (N, 3); several times faster than indexing."""
-    result = np.empty((len(rows), 3))
+def taken(
+    points: npt.NDArray[Any], rows: npt.NDArray[np.int64], dtype: type[np.floating] = np.float64
+) -> npt.NDArray[Any]:
+    """(K, 3): rows (K,) of points (N, 3), of that type; several times faster than indexing."""
+    result = np.empty((len(rows), 3), dtype)
     for_each_range(_take, len(rows), 2, points, rows, result)
     return result
 
@@ -102,14 +129,47 @@ def _take(begin, end, points, rows, result):  # type: ignore[no-untyped-def]
         result[i, 0], result[i, 1], result[i, 2] = points[row, 0], points[row, 1], points[row, 2]
 
 
+@inlined
+def _random(key, number):  # type: ignore[no-untyped-def]
+    """A number in [0, 1) that belongs to a whole one (Steele, Lea, Flood, "Fast splittable pseudorandom number
+    generators", 2014)."""
+    mixed = key + np.uint64(number + 1) * _HASH
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    mixed = mixed ^ (mixed >> np.uint64(31))
+    return np.float64(mixed >> np.uint64(11)) * _UNIT
+
+
+@inlined
+def _drawn(key, number, left, still):  # type: ignore[no-untyped-def]
+    """Whether one of ``left`` is among those of which ``still`` are wanted, by a random number of its own."""
+    return _random(key, number) * left < still
+
+
 @compiled
-def _choose(draws, size, rows):  # type: ignore[no-untyped-def]
-    n, left = 0, len(draws)
-    for p in range(len(draws)):
-        # Without a branch: written over by the next one where it is not taken.
+def _choose_few(count, size, key, rows):  # type: ignore[no-untyped-def]
+    there, number, still = np.zeros(count, np.uint8), 0, size
+    while still > 0:
+        place = int(_random(key, number) * count)
+        number += 1
+        still -= 1 - there[place]
+        there[place] = 1
+    n = 0
+    for p in range(count):
+        # Without a branch: written over by the next one where it is not there.
         rows[n] = p
-        n += draws[p] * left < size - n
-        left -= 1
+        n += there[p]
+
+
+@compiled
+def _choose(begin, end, limits, wanted, starts, key, rows):  # type: ignore[no-untyped-def]
+    for block in range(begin, end):
+        n, stop = starts[block], starts[block] + wanted[block]
+        for p in range(limits[block], limits[block + 1]):
+            if n == stop:
+                break
+            rows[n] = p
+            n += _drawn(key, p, limits[block + 1] - p, stop - n)
 
 
 @compiled
@@ -137,48 +197,69 @@ def _inside(points, lower, upper, rows):  # type: ignore[no-untyped-def]
     return n
 
 
-@compiled
-def _moved(points, transform, largest, lower, upper, moved, rows):  # type: ignore[no-untyped-def]
-    n = valid = 0
-    for p in range(len(points)):
-        a, b, c = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
-        if not (abs(a) <= largest and abs(b) <= largest and abs(c) <= largest):
-            continue
-        valid += 1
-        x = transform[0, 0] * a + transform[0, 1] * b + transform[0, 2] * c + transform[0, 3]
-        y = transform[1, 0] * a + transform[1, 1] * b + transform[1, 2] * c + transform[1, 3]
-        z = transform[2, 0] * a + transform[2, 1] * b + transform[2, 2] * c + transform[2, 3]
-        if lower[0] <= x <= upper[0] and lower[1] <= y <= upper[1] and lower[2] <= z <= upper[2]:
-            moved[n, 0], moved[n, 1], moved[n, 2] = x, y, z
-            rows[n] = p
-            n += 1
-    return n, valid
+@inlined
+def _place(transform, a, b, c):  # type: ignore[no-untyped-def]
+    x = transform[0, 0] * a + transform[0, 1] * b + transform[0, 2] * c + transform[0, 3]
+    y = transform[1, 0] * a + transform[1, 1] * b + transform[1, 2] * c + transform[1, 3]
+    z = transform[2, 0] * a + transform[2, 1] * b + transform[2, 2] * c + transform[2, 3]
+    return x, y, z
+
+
+@inlined
+def within_box(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether a point is in a box, its surface included; without a branch, and false for NaN."""
+    return (
+        (lower[0] <= x) & (x <= upper[0]) & (lower[1] <= y) & (y <= upper[1]) & (lower[2] <= z) & (z <= upper[2])
+    )  # fmt: skip
 
 
 @compiled
-def _number(begin, end, points, low, size, shape, numbers):  # type: ignore[no-untyped-def]
-    x, y, z, across, deep = low[0], low[1], low[2], np.uint64(shape[1]), np.uint64(shape[2])
-    for p in range(begin, end):
-        i = np.uint64(np.int64(np.floor((points[p, 0] - x) / size)))
-        j = np.uint64(np.int64(np.floor((points[p, 1] - y) / size)))
-        k = np.uint64(np.int64(np.floor((points[p, 2] - z) / size)))
-        numbers[p] = (i * across + j) * deep + k
+def _list(begin, end, points, transform, largest, limited, lower, upper, counts, there):  # type: ignore[no-untyped-def]
+    """Of blocks of points: how many are valid, how many of those are in the box, and which."""
+    for block in range(begin, end):
+        first, last = len(points) * block // len(counts), len(points) * (block + 1) // len(counts)
+        valid, n = 0, first
+        for p in range(first, last):
+            a, b, c = points[p, 0], points[p, 1], points[p, 2]
+            good = (abs(a) <= largest) & (abs(b) <= largest) & (abs(c) <= largest)  # false for NaN
+            valid += good
+            if limited:
+                x, y, z = _place(transform, a, b, c)
+                good &= within_box(lower, upper, x, y, z)
+            # Without a branch that nobody could foresee: written over by the next one where it is none.
+            there[n] = p
+            n += good
+        counts[block, 0], counts[block, 1] = valid, n - first
 
 
 @compiled
-def _first(numbers, table, shift, rows):  # type: ignore[no-untyped-def]
-    """Fill ``rows`` and say how many there are; the table (a power of two, all _NONE) becomes a set of voxels."""
-    mask = np.uint64(len(table) - 1)
-    n = 0
-    for p in range(len(numbers)):
-        number = numbers[p]
-        place = (number * _HASH) >> shift
-        there = table[place]
-        while there != _NONE and there != number:
-            place = (place + np.uint64(1)) & mask
-            there = table[place]
-        table[place] = number
-        # Without a branch: written over by the next one where the voxel is known.
-        rows[n] = p
-        n += there == _NONE
-    return n
+def _put(begin, end, points, transform, there, counts, starts, key, moved, rows):  # type: ignore[no-untyped-def]
+    for block in range(begin, end):
+        first, start, wanted = len(points) * block // len(counts), starts[block], starts[block + 1] - starts[block]
+        chosen = there[first : first + counts[block, 1]]
+        if wanted < len(chosen):
+            chosen = _drawn_evenly(chosen, wanted, key + np.uint64(first))
+        for i in range(wanted):
+            p = chosen[i]
+            x, y, z = _place(transform, points[p, 0], points[p, 1], points[p, 2])
+            moved[start + i, 0], moved[start + i, 1], moved[start + i, 2] = x, y, z
+            rows[start + i] = p
+
+
+@compiled
+def _drawn_evenly(given, wanted, key):  # type: ignore[no-untyped-def]
+    """``wanted`` of the given numbers, the first of the result: one from each of as many runs of those that stay, or of
+    those that go where they are fewer."""
+    count = len(given)
+    marked = min(wanted, count - wanted)
+    stays, before = np.full(count, 0 if marked == wanted else 1, np.uint8), -1
+    each = count / max(marked, 1)
+    for i in range(marked):
+        place = max(min(int((i + _random(key, i)) * each), count - 1), before + 1)
+        stays[place] ^= 1
+        before = place
+    chosen, n = np.empty(count, given.dtype), 0
+    for i in range(count):
+        chosen[n] = given[i]
+        n += stays[i]
+    return chosen

@@ -1,4 +1,4 @@
-"""The largest and the smallest value of the squares around the cells of a map: dilation, erosion and closing.
+"""The smallest of the largest values of squares around the cells of a map: closing.
 
 As ``scipy.ndimage`` has them for maps of truth values and of heights, where what lies outside the map does not count;
 a few times faster on maps of the size of a table's.
@@ -16,31 +16,28 @@ from regnet_core.ops.compiled import compiled
 Number = TypeVar("Number", bound=np.generic)
 
 
-def dilated(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
-    """(nx, ny): the largest of the finite values (nx, ny) within ``reach`` cells along both axes."""
-    return _along(_along(values, reach, 0, np.maximum), reach, 1, np.maximum)
-
-
-def eroded(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
-    """(nx, ny): the smallest of the finite values (nx, ny) within ``reach`` cells along both axes."""
-    return _along(_along(values, reach, 0, np.minimum), reach, 1, np.minimum)
-
-
 def closed(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
     """(nx, ny): dilated, then eroded: gaps of up to twice the reach are filled."""
-    return eroded(dilated(values, reach), reach)
-
-
-def _along(values: npt.NDArray[Number], reach: int, axis: int, best: np.ufunc) -> npt.NDArray[Number]:
-    plain: npt.NDArray[Any] = values.view(np.uint8) if values.dtype == np.bool_ else values
-    found = plain.copy(order="C")
-    _best_along(np.ascontiguousarray(plain), reach, axis, best is np.maximum, found)
-    return found.view(values.dtype)
+    plain: npt.NDArray[Any] = np.ascontiguousarray(values)
+    plain = plain.view(np.uint8) if plain.dtype == np.bool_ else plain
+    return closed_loop(plain, reach).view(values.dtype)  # type: ignore[no-any-return]
 
 
 @compiled
-def _best_along(values, reach, axis, largest, found):  # type: ignore[no-untyped-def]
+def closed_loop(values, reach):  # type: ignore[no-untyped-def]
+    """``closed`` for other compiled functions; of truth values as bytes."""
+    return _best_of_squares(_best_of_squares(values, reach, True), reach, False)
+
+
+@compiled
+def _best_of_squares(values, reach, largest):  # type: ignore[no-untyped-def]
+    return _best_along(_best_along(values, reach, 0, largest), reach, 1, largest)
+
+
+@compiled
+def _best_along(values, reach, axis, largest):  # type: ignore[no-untyped-def]
     rows, columns = values.shape
+    found = values.copy()
     for i in range(rows):
         for step in range(-reach, reach + 1):
             if axis == 0:
@@ -58,3 +55,4 @@ def _best_along(values, reach, axis, largest, found):  # type: ignore[no-untyped
                 for j in range(len(row)):
                     one, two = row[j], other[j]
                     row[j] = one if one < two else two
+    return found

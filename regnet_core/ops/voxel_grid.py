@@ -54,26 +54,27 @@ _TOGETHER = 16
 
 
 def bounds(points: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Lower and upper corner (3,) of the bounding box of finite points (N, 3), N > 0; in the points' own type."""
-    return _bounds(np.ascontiguousarray(points))  # type: ignore[no-any-return]
+    """Lower and upper corner (D,) of the bounding box of finite points (N, D), N > 0; in the points' own type."""
+    return bounds_loop(np.ascontiguousarray(points))  # type: ignore[no-any-return]
 
 
 @compiled
-def _bounds(points):  # type: ignore[no-untyped-def]
-    low, high = points[0].copy(), points[0].copy()
+def bounds_loop(points):  # type: ignore[no-untyped-def]
+    """``bounds`` of contiguous points, for other compiled functions."""
+    low, high, axes = points[0].copy(), points[0].copy(), points.shape[1]
     whole = len(points) // _TOGETHER
     if whole > 0:  # of several points at a time, each with its own bounds
         least, most = points[:_TOGETHER].copy().reshape(-1), points[:_TOGETHER].copy().reshape(-1)
         for block in range(1, whole):
             some = points[block * _TOGETHER : (block + 1) * _TOGETHER].reshape(-1)
-            for q in range(3 * _TOGETHER):
+            for q in range(len(least)):
                 value, below, above = some[q], least[q], most[q]
                 least[q] = value if value < below else below
                 most[q] = value if value > above else above
-        for q in range(3 * _TOGETHER):
-            low[q % 3], high[q % 3] = min(low[q % 3], least[q]), max(high[q % 3], most[q])
+        for q in range(len(least)):
+            low[q % axes], high[q % axes] = min(low[q % axes], least[q]), max(high[q % axes], most[q])
     for p in range(whole * _TOGETHER, len(points)):
-        for a in range(3):
+        for a in range(axes):
             low[a] = min(low[a], points[p, a])
             high[a] = max(high[a], points[p, a])
     return low, high

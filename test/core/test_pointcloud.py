@@ -10,7 +10,6 @@ from regnet_core.pointcloud import (
     colors_as_floats,
     crop,
     estimate_normals,
-    fit_support_plane,
     neighbourhood_radius,
     orient_normals,
     place_points,
@@ -19,6 +18,7 @@ from regnet_core.pointcloud import (
     validate_points,
     voxel_downsample,
 )
+from regnet_core.support_plane import fit_support_plane
 
 
 def test_invalid_points_are_dropped_and_the_rest_keeps_its_rows() -> None:
@@ -65,7 +65,7 @@ def test_one_point_is_left_in_each_voxel() -> None:
     axis = np.arange(10) * 0.001 + 0.0005
     points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     kept = voxel_downsample(points, 0.005)
-    cells = np.floor((points[kept] - points.min(axis=0)) / 0.005).astype(int)
+    cells = np.floor(points[kept] / 0.005).astype(int)
     assert len(kept) == 8
     assert len(np.unique(cells, axis=0)) == 8
     assert np.array_equal(voxel_downsample(points, 1e-9), np.arange(len(points)))
@@ -80,11 +80,36 @@ def test_random_sample_is_without_repetition_and_reproducible() -> None:
     for size in (0, 240, 251, 600, 999):  # few, and many
         rows = random_sample(1000, size, np.random.default_rng(1))
         assert len(rows) == size and (np.diff(rows) > 0).all() and (size == 0 or 0 <= rows[0] <= rows[-1] < 1000)
-    rng, counts = np.random.default_rng(2), np.zeros(40)
-    for _ in range(4000):
-        counts[random_sample(40, 15, rng)] += 1
-    assert np.abs(counts - 1500).max() < 4.5 * np.sqrt(4000 * (15 / 40) * (25 / 40))
+    for size in (5, 15):
+        rng, counts = np.random.default_rng(2), np.zeros(40)
+        for _ in range(4000):
+            counts[random_sample(40, size, rng)] += 1
+        share = size / 40
+        assert np.abs(counts - 4000 * share).max() < 4.5 * np.sqrt(4000 * share * (1 - share))
+    many = np.concatenate([random_sample(100_000, 500, rng) for _ in range(40)])  # in blocks
+    assert np.abs(np.histogram(many, 10, (0, 100_000))[0] - 2000).max() < 4.5 * np.sqrt(20_000 * 0.1 * 0.9)
     assert random_sample(5, 10, np.random.default_rng(0)).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("most", [1, 30, 399, 400, 799, 800, 5000])
+def test_points_are_drawn_evenly_from_all_that_are_usable(most: int) -> None:
+    points = np.random.default_rng(0).uniform(-1, 1, (2400, 3))
+    points[::3] = np.nan
+    box = Box((-5.0, -5.0, -5.0), (0.0, 5.0, 5.0))
+    whole = place_points(points, np.eye(4), box)
+    draws = [place_points(points, np.eye(4), box, most, seed) for seed in range(300)]
+    size = min(most, whole.inside)
+    times, inside = np.zeros(len(points)), np.searchsorted(whole.rows, draws[0].rows)
+    for draw in draws:
+        assert draw.inside == whole.inside and len(draw.rows) == size and (np.diff(draw.rows) > 0).all()
+        np.testing.assert_array_equal(draw.points, points[draw.rows])
+        times[draw.rows] += 1
+    assert (times[np.setdiff1d(np.arange(len(points)), whole.rows)] == 0).all()
+    share = size / whole.inside
+    assert np.abs(times[whole.rows] - 300 * share).max() <= 6 * np.sqrt(300 * share * (1 - share)) + 1e-9
+    # One from about as many as each stands for.
+    if size > 1:
+        assert np.diff(inside).max() <= 2 / share + 2
 
 
 def test_normals_of_a_sphere_are_radial() -> None:

@@ -8,7 +8,7 @@ import trimesh
 from regnet_core import Box, GraspDetector, Gripper
 from regnet_core.clusters import beyond, cluster, structure
 from regnet_core.evaluation.ground_truth import GroundTruth
-from regnet_core.pointcloud import fit_support_plane
+from regnet_core.support_plane import fit_support_plane
 
 OBJECT = shapes.single_view(shapes.box(0.05, 0.12, 0.10), side=0.8)
 MESH = trimesh.creation.box((0.05, 0.12, 0.10)).apply_translation((0, 0, 0.80))
@@ -73,9 +73,9 @@ def test_slender_objects_of_any_height_are_grasped(height: float) -> None:
     camera = np.array([0.8, 0.0, 0.75 + height + 0.5])
     post = shapes.single_view(shapes.box(0.05, 0.05, height, density=2e4), camera=camera)
     mesh = trimesh.creation.box((0.05, 0.05, height)).apply_translation((0, 0, 0.75 + height / 2))
-    best = GraspDetector("antipodal").detect(post).grasps[:50]
-    assert len(best) == 50
-    assert GroundTruth([mesh], TABLE).collides(best, Gripper()).mean() <= 0.1
+    best = [GraspDetector("antipodal", seed=seed).detect(post).grasps[:50] for seed in range(4)]
+    assert [len(grasps) for grasps in best] == [50] * 4
+    assert np.mean([GroundTruth([mesh], TABLE).collides(grasps, Gripper()) for grasps in best]) <= 0.15
 
 
 def test_planes_that_tilt_too_much_are_no_support() -> None:

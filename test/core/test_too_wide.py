@@ -91,7 +91,10 @@ def test_random_hands_need_more_than_the_gripper_opens(tiny: SceneArchive, here:
     assert narrow.best.tolist() == narrow.final[: len(narrow.best)].tolist()
     row = summarise_too_wide([narrow])[0]
     assert row.proposed.above_told.mean > 0.5  # nothing tells a random hand how wide the object is
-    assert row.final.count == 0 or row.final.above_told.mean < row.proposed.above_told.mean  # the checks find many
+    left, given = row.final, row.proposed
+    assert (
+        left.count * np.nan_to_num(left.above_told.mean) < 0.1 * given.count * given.above_told.mean
+    )  # most are found
     again = run_too_wide(tiny, settings, here)
     np.testing.assert_array_equal(again[0].proposed, narrow.proposed)
     nothing = TooWideSettings(("random",), tiny.indices, across=(0.9, 1.0))
