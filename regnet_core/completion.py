@@ -13,8 +13,9 @@ import numpy as np
 
 from regnet_core.geometry import Array, Plane
 from regnet_core.ops.cells import highest
-from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
+from regnet_core.ops.columns import smoothed_columns, surface_voxels, turned_down, walls
 from regnet_core.ops.nearby import near_any
+from regnet_core.ops.rows import taken
 from regnet_core.ops.squares import closed
 from regnet_core.ops.voxel_grid import bounds
 
@@ -33,10 +34,9 @@ class SolidModel(NamedTuple):
     cell: float
     """Edge length of a voxel [m]."""
 
-    def outward(self, points: Array, height: Array) -> Array:
-        """Directions (N, 3), not normalised, that lead out of the solid at points (N, 3) of that height (N,) [m]."""
-        where = (np.column_stack([points[:, :2], height]) - self.origin) / self.cell
-        return -slope_at(self.density, where, 1.5)
+    def outward(self, normals: Array, points: Array, height: Array) -> Array:
+        """Normals (N, 3) of length 1, turned out of the solid at points (N, 3) of that height (N,) [m]."""
+        return turned_down(normals, self.density, self.origin, self.cell, points, height, 1.5)
 
 
 class HiddenSurface(NamedTuple):
@@ -85,11 +85,9 @@ def hidden_surface(
     """The model's surface above the plane, where no observed point (N, 3) is nearer than ``clearance`` [m]."""
     levels = model.origin[2] + np.arange(model.density.shape[2]) * model.cell
     index = surface_voxels(model.density, 0.5, int(np.count_nonzero(levels <= min_height)))
-    if len(index) == 0:
-        return HiddenSurface(np.zeros((0, 3)), np.zeros((0, 3)))
     found = walls(model.density, index, 0.5, 0.05)
     points = model.origin + found.points * model.cell
     nx, ny, nz = plane.normal
     points[:, 2] = (plane.offset + points[:, 2] - nx * points[:, 0] - ny * points[:, 1]) / nz
-    far = ~near_any(observed, points, clearance)
-    return HiddenSurface(points[far], found.normals[far])
+    far = np.flatnonzero(~near_any(observed, points, clearance))
+    return HiddenSurface(taken(points, far), taken(found.normals, far))

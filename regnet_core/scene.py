@@ -13,18 +13,21 @@ from regnet_core.clusters import beyond, cluster, structure
 from regnet_core.completion import SolidModel, fill_columns, hidden_surface
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
+from regnet_core.ops.local_planes import flattened
 from regnet_core.ops.rows import taken
+from regnet_core.ops.slabs import layers
 from regnet_core.pointcloud import (
     Index,
+    as_floats,
     colors_as_floats,
     estimate_normals,
-    fit_support_plane,
     neighbourhood_radius,
     orient_normals,
-    place_points,
+    usable_rows,
     voxel_downsample,
 )
 from regnet_core.report import StepRecorder
+from regnet_core.support_plane import fit_support_plane
 from regnet_core.visibility import UnseenGround, unseen_ground
 
 _MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
@@ -81,8 +84,8 @@ class Surface:
 class Scene:
     """One cloud, ready for detection."""
 
-    points: Array
-    """(N, 3): every valid point in the workspace, thinned by voxels [m]."""
+    points: npt.NDArray[np.floating]
+    """(N, 3): every valid point in the workspace, thinned by voxels, float32 or float64 as the user's array [m]."""
     source: Index
     """(N,): their rows in the user's array."""
     plane: Plane | None
@@ -131,17 +134,16 @@ def prepare_scene(
         recorder: receives the counts and times of the steps, and warnings.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
+    given = as_floats(points)
     with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
-        usable = place_points(points, np.eye(4), config.workspace)
-        step.kept, step.rejected = usable.valid, len(np.asarray(points)) - usable.valid
-    cloud, source = usable.points, usable.rows
+        usable = usable_rows(given, config.workspace)
+        step.kept, step.rejected = usable.valid, len(given) - usable.valid
     with recorder.step("points in workspace") as step:
-        step.kept, step.rejected = len(cloud), usable.valid - len(cloud)
+        step.kept, step.rejected = len(usable.rows), usable.valid - len(usable.rows)
     with recorder.step("points after thinning") as step:
-        thinned = _thinned(cloud, config)
-        step.kept, step.rejected = len(thinned), len(cloud) - len(thinned)
-    if len(thinned) < len(cloud):
-        cloud, source = taken(cloud, thinned), source[thinned]
+        source = _thinned(given, usable.rows, config)
+        cloud = taken(given, source, given.dtype.type)
+        step.kept, step.rejected = len(cloud), len(usable.rows) - len(cloud)
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
@@ -162,21 +164,21 @@ class _Found(NamedTuple):
     base: Plane
     """The support plane, or what stands for it."""
     structure: Array
-    on_plane: Array
-    """(P, 3): what was seen of the support plane; none without one."""
+    ground: npt.NDArray[np.float32]
+    """(P, 2): x and y of what was seen of the support plane; none without one."""
 
 
-def _thinned(points: Array, config: SceneConfig) -> Index:
+def _thinned(points: npt.NDArray[Any], rows: Index, config: SceneConfig) -> Index:
     voxel = config.voxel
-    kept = voxel_downsample(points, voxel)
+    kept = voxel_downsample(points, voxel, rows)
     while len(kept) > config.max_points:
         voxel *= 1.3
-        kept = voxel_downsample(points, voxel)
+        kept = voxel_downsample(points, voxel, rows)
     return kept
 
 
 def _find_surface(
-    cloud: Array,
+    cloud: npt.NDArray[np.floating],
     source: Index,
     plane: Plane | None,
     config: SceneConfig,
@@ -184,19 +186,17 @@ def _find_surface(
     warnings: list[str],
 ) -> _Found:
     base = plane or _lowest_level(cloud)
-    height = base.height(cloud)
-    above = np.flatnonzero(height > config.plane_clearance) if plane is not None else np.arange(len(cloud))
-    groups = cluster(taken(cloud, above))
-    above = above[groups.size[groups.label] >= config.outlier_neighbours]
-    points = taken(cloud, above)
-    in_the_way = structure(points, height[above], config.max_object_height)
-    on_plane = np.zeros((0, 3))
+    seen = layers(cloud, np.array(base.normal), base.offset, config.plane_clearance if plane is not None else -np.inf)
+    groups = cluster(seen.points)
+    large = np.flatnonzero((groups.size >= config.outlier_neighbours)[groups.label])
+    points, above, height = taken(seen.points, large), seen.above[large], seen.height[large]
+    in_the_way = structure(points, height, config.max_object_height)
     if plane is not None:
-        on_plane = taken(cloud, np.flatnonzero(np.abs(height) <= config.plane_clearance))
-        in_the_way |= beyond(points, on_plane)
-    wall, above = points[in_the_way], above[~in_the_way]
-
-    points, source, height = taken(cloud, above), source[above], height[above]
+        in_the_way |= beyond(points, seen.ground)
+    wall = points[in_the_way]
+    if len(wall) > 0:
+        points, above, height = points[~in_the_way], above[~in_the_way], height[~in_the_way]
+    source = source[above]
     radius = neighbourhood_radius(points, rng, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
     if radius > 1.5 * _MAX_RADIUS and len(points) > 0:
         warnings.append(
@@ -204,12 +204,9 @@ def _find_surface(
             "to the workspace before sampling it down"
         )
     local = estimate_normals(points, min(radius, _MAX_RADIUS))
-    keep = local.neighbours >= config.outlier_neighbours
-    points, source, height, normals = points[keep], source[keep], height[keep], local.normal[keep]
-    # Sensor noise is taken out along the normal: onto the plane of the neighbours.
-    points = points - normals * np.sum((points - local.mean[keep]) * normals, axis=1, keepdims=True)
-
-    return _Found(points, normals, source, height, base, wall, on_plane)
+    keep = np.flatnonzero(local.neighbours >= config.outlier_neighbours)
+    flat = flattened(points, local, keep)
+    return _Found(flat, taken(local.normal, keep), source[keep], height[keep], base, wall, seen.ground)
 
 
 def _complete(
@@ -220,7 +217,7 @@ def _complete(
     warnings: list[str],
 ) -> tuple[Surface, UnseenGround | None]:
     """The objects' surface with outward normals and hidden sides, and the ground."""
-    points, normals, source, height, base, _, on_plane = found
+    points, normals, source, height, base, _, ground = found
     model = fill_columns(points, base) if config.complete_hidden else None
     if plane is None and len(points) > 0:
         warnings.append("no support plane was found: objects are taken to stand at the height of the lowest point")
@@ -232,10 +229,10 @@ def _complete(
         objects = _with_hidden_sides(objects, model, base)
     if plane is None or not config.complete_hidden:
         return objects, None
-    return objects, unseen_ground(on_plane, objects.points)
+    return objects, unseen_ground(ground, objects.points)
 
 
-def _lowest_level(cloud: Array) -> Plane:
+def _lowest_level(cloud: npt.NDArray[np.floating]) -> Plane:
     """The level plane under nearly all points, for clouds that show objects and no table."""
     return Plane((0.0, 0.0, 1.0), float(np.quantile(cloud[:, 2], 0.01)) - 0.002 if len(cloud) else 0.0)
 
@@ -247,7 +244,7 @@ def _outward(points: Array, normals: Array, height: Array, model: SolidModel | N
     if viewpoint is not None:
         return normalised(orient_normals(normals, viewpoint - points))
     if model is not None:
-        return normalised(orient_normals(normals, model.outward(points, height)))
+        return model.outward(normals, points, height)
     groups = cluster(points)
     return normalised(orient_normals(normals, points - groups.mean(points)[groups.label]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,18 +37,27 @@ def smoothed_columns(
         deviation: of the Gaussian [voxels].
         truncate: where it ends [deviations].
     """
-    filled = np.where(top > 0.0, np.searchsorted(z, top), 0)
-    steps = np.tri(len(z) + 1, len(z), -1, dtype=np.float32)
-    table = ndimage.gaussian_filter1d(steps, deviation, axis=1, truncate=truncate)
-    reach = int(truncate * deviation + 0.5)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
-    weights = (weights / weights.sum()).astype(np.float32)
+    table, weights = _kernels(len(z), deviation, truncate)
+    filled = np.empty(top.shape, np.int32)
+    _levels(top, z, filled)
     across = np.empty((*top.shape, len(z)), np.float32)
     density = np.empty_like(across)
     some, voxels = np.zeros(top.shape, np.bool_), top.shape[1] * len(z)
     for_each_range(_along_y, len(top), 0.8 * voxels, filled, table, weights, across, some)
     for_each_range(_along_x, len(top), 1.2 * voxels, across, some, weights, density)
     return density
+
+
+@lru_cache(maxsize=64)
+def _kernels(levels: int, deviation: float, truncate: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """A step up to each of the levels, smoothed (levels + 1, levels), and the Gaussian."""
+    steps = np.tri(levels + 1, levels, -1, dtype=np.float32)
+    table = ndimage.gaussian_filter1d(steps, deviation, axis=1, truncate=truncate)
+    reach = int(truncate * deviation + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
+    weights = (weights / weights.sum()).astype(np.float32)
+    table.flags.writeable = weights.flags.writeable = False
+    return table, weights
 
 
 def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) -> npt.NDArray[np.int64]:
@@ -69,18 +79,29 @@ def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) 
     return found
 
 
-def slope_at(density: npt.NDArray[np.floating], where: Array, step: float) -> Array:
-    """(N, 3): what the density rises by along each axis, from ``step`` before to ``step`` behind.
+def turned_down(
+    normals: Array,
+    density: npt.NDArray[np.floating],
+    origin: Array,
+    cell: float,
+    points: Array,
+    height: Array,
+    step: float,
+) -> Array:
+    """Normals (N, 3), made to have length 1 and turned to where the density falls.
 
     Args:
-        density: (nx, ny, nz); outside, it is what it is at the side.
-        where: (N, 3) [voxels], interpolated between linearly.
-        step: how far [voxels].
+        normals: not 0.
+        density: (nx, ny, nz), interpolated between linearly; outside, it is what it is at the side.
+        origin: (3,), the centre of voxel (0, 0, 0): x, y, height [m].
+        cell: edge length of a voxel [m].
+        points: (N, 3), of which x and y count [m].
+        height: (N,) of these points [m].
+        step: it is asked what the density rises by from so far before to so far behind, along each axis [voxels].
     """
-    slope = np.empty((len(where), 3), np.float32)
-    at = np.ascontiguousarray(where, np.float64)
-    for_each_range(_slope, len(at), 120, density, at, step, slope)
-    return slope.astype(np.float64)
+    turned = np.empty((len(points), 3))
+    for_each_range(_turn, len(points), 130, normals, density, origin, cell, points, height, step, turned)
+    return turned
 
 
 def walls(density: npt.NDArray[np.floating], index: npt.NDArray[np.int64], level: float, least: float) -> Walls:
@@ -115,12 +136,33 @@ def _value_at(density, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _slope(begin, end, density, where, step, slope):  # type: ignore[no-untyped-def]
+def _turn(begin, end, normals, density, origin, cell, points, height, step, turned):  # type: ignore[no-untyped-def]
     for p in range(begin, end):
-        x, y, z = where[p, 0], where[p, 1], where[p, 2]
-        slope[p, 0] = _value_at(density, x + step, y, z) - _value_at(density, x - step, y, z)
-        slope[p, 1] = _value_at(density, x, y + step, z) - _value_at(density, x, y - step, z)
-        slope[p, 2] = _value_at(density, x, y, z + step) - _value_at(density, x, y, z - step)
+        x, y = (points[p, 0] - origin[0]) / cell, (points[p, 1] - origin[1]) / cell
+        z = (height[p] - origin[2]) / cell
+        a, b, c = normals[p, 0], normals[p, 1], normals[p, 2]
+        rise = a * (_value_at(density, x + step, y, z) - _value_at(density, x - step, y, z))
+        rise += b * (_value_at(density, x, y + step, z) - _value_at(density, x, y - step, z))
+        rise += c * (_value_at(density, x, y, z + step) - _value_at(density, x, y, z - step))
+        length = np.sqrt(a * a + b * b + c * c)
+        length = -length if rise > 0.0 else length
+        turned[p, 0], turned[p, 1], turned[p, 2] = a / length, b / length, c / length
+
+
+@compiled
+def _levels(top, z, filled):  # type: ignore[no-untyped-def]
+    """How many levels lie below the top of each column, which is filled above 0."""
+    step = z[1] - z[0] if len(z) > 1 else 1.0
+    for i in range(top.shape[0]):
+        for j in range(top.shape[1]):
+            level, height = 0, top[i, j]
+            if height > 0.0:
+                level = min(max(int((height - z[0]) / step), 0), len(z))
+                while level < len(z) and z[level] < height:
+                    level += 1
+                while level > 0 and z[level - 1] >= height:
+                    level -= 1
+            filled[i, j] = level
 
 
 @compiled

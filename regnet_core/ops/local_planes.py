@@ -43,6 +43,13 @@ def local_planes(points: Array, radius: float) -> LocalPlanes:
     return made
 
 
+def flattened(points: Array, planes: LocalPlanes, rows: npt.NDArray[np.int64]) -> Array:
+    """(K, 3): points at ``rows`` (K,) of (N, 3), moved along their normals onto the planes of their neighbours [m]."""
+    moved = np.empty((len(rows), 3))
+    _flatten(points, planes.mean, planes.normal, rows, moved)
+    return moved
+
+
 def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.NDArray[np.float32]:
     """(N, 3, 3) float32: 3 C / trace(C) - 1, with C the covariance of the points within ``radius`` of each of N [m].
 
@@ -63,6 +70,14 @@ def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array
         return in_buckets(np.zeros((0, 3), np.float32)), np.zeros(3)
     origin = np.asarray(bounds(points)[0], np.float64)
     return in_buckets((points - origin).astype(np.float32)), origin
+
+
+@compiled
+def _flatten(points, mean, normal, rows, moved):  # type: ignore[no-untyped-def]
+    for i in range(len(rows)):
+        p, n, m, q = points[rows[i]], normal[rows[i]], mean[rows[i]], moved[i]
+        away = (p[0] - m[0]) * n[0] + (p[1] - m[1]) * n[1] + (p[2] - m[2]) * n[2]
+        q[0], q[1], q[2] = p[0] - away * n[0], p[1] - away * n[1], p[2] - away * n[2]
 
 
 @compiled

@@ -6,15 +6,16 @@ import torch
 from scipy import ndimage
 from scipy.spatial import ConvexHull, cKDTree
 
-from regnet_core import clusters
 from regnet_core.clusters import cluster
-from regnet_core.ops.cells import cells_below, cells_with_points, highest, mark_nearest
-from regnet_core.ops.columns import slope_at, smoothed_columns, surface_voxels, walls
+from regnet_core.ops import cell_map
+from regnet_core.ops.cell_map import CellMap
+from regnet_core.ops.cells import cells_below, cells_with_points, highest, seen_from_above
+from regnet_core.ops.columns import smoothed_columns, surface_voxels, turned_down, walls
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.nearby import kth_distance, near_any
 from regnet_core.ops.neighbourhoods import newly_marked
 from regnet_core.ops.outline import convex_outline, corner_candidates, outside
-from regnet_core.ops.rows import first_in_voxels, rows_in_box, valid_rows
+from regnet_core.ops.rows import rows_in_box, valid_rows
 from regnet_core.ops.voxel_grid import bounds
 from regnet_core.pointcloud import voxel_downsample
 
@@ -72,16 +73,20 @@ def test_rows_that_are_numbers() -> None:
 def test_first_point_of_each_voxel(size: float) -> None:
     points = RNG.normal(0.0, 0.2, (3000, 3))
     points = np.concatenate([points, points[::-1], np.zeros((5, 3))])
-    cells = np.floor((points - points.min(axis=0)) / size)
-    expected = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    np.testing.assert_array_equal(first_in_voxels(points, size), expected)
+    expected = np.sort(np.unique(np.floor(points / size), axis=0, return_index=True)[1])
     np.testing.assert_array_equal(voxel_downsample(points, size), expected)
+    some = np.arange(100, len(points), 3)
+    expected = some[np.sort(np.unique(np.floor(points[some] / size), axis=0, return_index=True)[1])]
+    np.testing.assert_array_equal(voxel_downsample(points, size, some), expected)
+    np.testing.assert_array_equal(voxel_downsample(points.astype(np.float32), size, some[:0]), [])
 
 
 def test_more_voxels_than_can_be_numbered() -> None:
     points = np.array([[0.0, 0.0, 0.0], [900.0, 900.0, 900.0], [0.0, 0.0, 1e-8]])
-    assert first_in_voxels(points, 1e-7) is None
     assert voxel_downsample(points, 1e-7).tolist() == [0, 1]
+    # Small ones beside each other have numbers, wherever they are.
+    near = points[[0, 2, 0]] + [0.0, 0.0, 900.0] + [[0.0], [0.0], [3e-7]]
+    assert voxel_downsample(near, 1e-7).tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("flat", [0.0, 1e-9, 1e-3])
@@ -102,22 +107,48 @@ def test_normals_of_planes_lines_and_single_points(flat: float) -> None:
 def test_clusters_do_not_depend_on_how_cells_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     points = np.concatenate([RNG.normal(at, 0.05, (300, 3)) for at in (-3.0, 0.0, 0.4)])
     dense = cluster(points)
-    monkeypatch.setattr(clusters, "_DENSE", 0)
+    monkeypatch.setattr(cell_map, "LARGEST", 0)
     sparse = cluster(points)
     np.testing.assert_array_equal(dense.label, sparse.label)
     np.testing.assert_array_equal(dense.size, sparse.size)
     assert len(dense.size) >= 3
 
 
-def test_slopes_are_those_of_a_linear_interpolation() -> None:
+def test_cells_that_hang_together() -> None:
+    points = np.concatenate([RNG.normal(at, 0.05, (200, 3)) for at in (-0.6, 0.0, 0.4)])
+    cells = CellMap.of(points, 0.03)
+    assert cells is not None
+    index = np.floor(points[:, :2] / 0.03).astype(int) - cells.first
+    seen = np.zeros((len(cells.number) // cells.across, cells.across), int)
+    np.add.at(seen, (index[:, 0], index[:, 1]), 1)
+    np.testing.assert_array_equal(cells.number, seen.reshape(-1))
+    labels, number = ndimage.label(seen, np.ones((3, 3)))
+    group, sizes = cells.groups()
+    assert len(sizes) == number >= 3
+    np.testing.assert_array_equal(group, labels.reshape(-1) - 1)
+    np.testing.assert_array_equal(sizes, np.bincount(group[cells.place]))
+    np.testing.assert_array_equal(cells.of_points(group), labels[index[:, 0], index[:, 1]] - 1)
+
+
+def test_normals_are_turned_to_where_the_density_falls() -> None:
     density = RNG.random((7, 6, 8)).astype(np.float32)
     where = RNG.uniform(-2.0, 9.0, (400, 3))  # some outside
-    for axis, step in enumerate(1.5 * np.eye(3)):
+    origin, cell = np.array([0.3, -0.2, 0.1]), 0.005
+    points, normals = origin + cell * where, RNG.normal(size=(400, 3))
+    height, points[:, 2] = points[:, 2].copy(), 7.0
+    slopes = []
+    for step in 1.5 * np.eye(3):
         ahead, behind = (
             ndimage.map_coordinates(density.astype(float), (where + side * step).T, order=1, mode="nearest")
             for side in (1.0, -1.0)
         )
-        np.testing.assert_allclose(slope_at(density, where, 1.5)[:, axis], ahead - behind, atol=1e-6)
+        slopes.append(ahead - behind)
+    rise = np.sum(normals * np.transpose(slopes), axis=1)
+    expected = normals * np.where(rise > 0, -1, 1)[:, None] / np.linalg.norm(normals, axis=1)[:, None]
+    turned = turned_down(normals, density, origin, cell, points, height, 1.5)
+    clear = np.abs(rise) > 1e-5
+    assert clear.mean() > 0.7 and 100 < (rise > 1e-5).sum() < 300
+    np.testing.assert_allclose(turned[clear], expected[clear], atol=1e-12)
 
 
 def test_walls_of_a_ramp_by_hand() -> None:
@@ -138,8 +169,10 @@ def test_cells_of_points() -> None:
     assert cells_with_points(points[:0], 0.3) == 0
     low = points[:, :2].min(axis=0) - 0.5
     index = np.round((points[:, :2] - low) / 0.3).astype(int)
-    marked, top = np.zeros((40, 40), bool), np.zeros((40, 40))
-    mark_nearest(points, low, 0.3, marked)
+    marked, top = (
+        seen_from_above((points[:200, :2].astype(np.float32), points[200:]), low, 0.3, (40, 40), 0),
+        np.zeros((40, 40)),
+    )
     np.maximum.at(top, (index[:, 0], index[:, 1]), points[:, 2])
     assert marked.sum() == len(np.unique(index, axis=0)) and marked[index[:, 0], index[:, 1]].all()
     np.testing.assert_array_equal(highest(points, points[:, 2], low, 0.3, (40, 40)), top)
@@ -158,17 +191,35 @@ def test_distance_of_the_kth_nearest(usual: float) -> None:
 
 def test_corners_of_a_hull_are_among_the_candidates() -> None:
     for points in (RNG.normal(size=(3000, 3)), RNG.random((3000, 2)), np.stack([np.arange(9.0)] * 2, axis=1)):
-        rows = corner_candidates(points, np.ones(len(points), bool))
+        cells = CellMap.of(points, 0.05)
+        assert cells is not None
+        rows = corner_candidates(points, cells, np.ones(len(cells.number), bool))
         if points.shape[1] == 2 and len(points) == 9:  # all in one line
             assert rows.tolist() == list(range(9))
             continue
         hull = ConvexHull(points[:, :2])
         assert set(hull.vertices) <= set(rows.tolist()) and len(rows) < 1500
+        left = cells.place % 2 == 0
+        some = np.flatnonzero(left)[ConvexHull(points[left, :2]).vertices]
+        assert set(some) <= set(corner_candidates(points, cells, np.arange(len(cells.number)) % 2 == 0).tolist())
         again = ConvexHull(points[rows][:, :2])
         assert again.volume == pytest.approx(hull.volume, rel=1e-12)
         probes = 3.0 * RNG.normal(size=(200, 2))
         expected = (probes @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1) > 0.2
         np.testing.assert_array_equal(outside(probes, again.equations, 0.2), expected)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shift", [-0.6, -0.15, 0.0, 0.35, 12.4])
+def test_a_table_that_ends_where_cells_do_keeps_its_corners(shift: float, dtype: type) -> None:
+    axis = np.linspace(shift, shift + 1.0, 161)
+    table = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2).astype(dtype)
+    cells = CellMap.of(table, 0.05)
+    assert cells is not None
+    rows = corner_candidates(table, cells, np.ones(len(cells.number), bool))
+    assert len(rows) < len(table) // 3
+    assert ConvexHull(table[rows]).volume == pytest.approx(1.0, abs=1e-5)
+    assert len(convex_outline(table, rows)) == 4
 
 
 def test_a_convex_outline_is_the_hull() -> None:
