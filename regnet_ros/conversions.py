@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import array
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from geometry_msgs.msg import Pose, PoseArray, PoseStamped
-from rclpy.serialization import deserialize_message, serialize_message
 from regnet_msgs.msg import Grasp, GraspArray, SelectedGrasp
 from regnet_msgs.msg import Gripper as GripperMessage
 from regnet_msgs.msg import StepReport as StepMessage
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
-from regnet_core.approach import lift_poses, pre_grasp_poses
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, matrix_from_quaternion, quaternion_from_matrix
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
 from regnet_core.io.pointcloud2 import DecodedCloud, decode_cloud, encode_cloud
-from regnet_core.policy import Selection
 from regnet_core.report import DetectionReport, StepReport
 
+NUMBERS = 11
+"""Of a Grasp: position, orientation, width, quality, vertical score, confidence; all are float64."""
 _UNIT = 1e-3
 """How far a quaternion's length may be from 1."""
-
-
-_NUMBERS = 11
-"""Of a Grasp: position, orientation, width, quality, vertical score, confidence; all are float64."""
 
 
 class GraspMessageError(InvalidInputError):
@@ -133,11 +128,11 @@ def grasps_from_messages(messages: Iterable[Grasp]) -> Grasps:
     Raises:
         GraspMessageError: a number is not finite, or an orientation is no unit quaternion.
     """
-    return _grasps(_numbers(messages))
+    return grasps_of_numbers(numbers_of_grasps(messages))
 
 
-def _numbers(messages: Iterable[Grasp]) -> Array:
-    """(M, 11), in the order of the message's fields."""
+def numbers_of_grasps(messages: Iterable[Grasp]) -> Array:
+    """(M, 11): position, orientation, width, quality, vertical score, confidence, as the message has them."""
     rows = [
         (
             *(m.pose.position.x, m.pose.position.y, m.pose.position.z),
@@ -146,10 +141,15 @@ def _numbers(messages: Iterable[Grasp]) -> Array:
         )
         for m in messages
     ]
-    return np.array(rows, dtype=np.float64).reshape(-1, _NUMBERS)
+    return np.array(rows, dtype=np.float64).reshape(-1, NUMBERS)
 
 
-def _grasps(table: Array) -> Grasps:
+def grasps_of_numbers(table: Array) -> Grasps:
+    """The batch of grasps of such numbers (M, 11).
+
+    Raises:
+        GraspMessageError: a number is not finite, or an orientation is no unit quaternion.
+    """
     if len(table) == 0:
         return Grasps.empty()
     broken = np.flatnonzero(~np.isfinite(table).all(axis=1))
@@ -189,153 +189,14 @@ def grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: Detect
         model=report.model,
         device=report.device,
         reason=report.reason,
-        warnings=report.warnings,
+        warnings=list(report.warnings),
         total_seconds=report.total_seconds,
     )
-
-
-def serialized_grasp_array(header: Header, grasps: Grasps, gripper: Gripper, report: DetectionReport) -> bytes:
-    """The same message as a publisher sends it, six times sooner for 200 grasps.
-
-    A grasp is eleven float64 in CDR, with nothing between them: rclpy serializes the message with one of them, in the
-    place of which all are written. Where a middleware writes it in another way, rclpy serializes them all.
-    """
-    if len(grasps) == 0:
-        return bytes(serialize_message(grasp_array(header, grasps, gripper, report)))
-    one = bytes(serialize_message(grasp_array(header, grasps[:1], gripper, report)))
-    quaternions = quaternion_from_matrix(grasps.rotation)
-    numbers = (grasps.width, grasps.quality, grasps.vertical_score, grasps.confidence)
-    table = np.column_stack([grasps.translation, quaternions, *numbers]).astype(np.float64)
-    layout = _Layout.of(one)
-    if layout is None or layout.number != 1:
-        return bytes(serialize_message(grasp_array(header, grasps, gripper, report)))
-    return layout.with_grasps(one, len(table), table.astype(f"{layout.order}f8").tobytes())
-
-
-class _Layout(NamedTuple):
-    """Where the grasps are in a serialized GraspArray (CDR)."""
-
-    order: str
-    """Of the bytes of a number, as numpy names it."""
-    at: int
-    """Where the number of grasps begins; they do so 8 bytes later."""
-    number: int
-
-    @classmethod
-    def of(cls, data: bytes) -> _Layout | None:
-        """None where it is written in another way."""
-        if len(data) < 16 or data[0] != 0 or data[1] > 1:
-            return None
-        order = "<" if data[1] == 1 else ">"
-        # 4 bytes that name the encoding, behind which alignment begins; stamp, frame, gripper, number.
-        frame_end = 8 + 4 + int(np.frombuffer(data, f"{order}u4", 1, 12)[0])
-        at = 4 + -(-frame_end // 8) * 8 + 5 * 8
-        if at + 8 > len(data):
-            return None
-        count = int(np.frombuffer(data, f"{order}u4", 1, at)[0])
-        return cls(order, at, count) if at + 8 + count * _NUMBERS * 8 <= len(data) else None
-
-    def numbers(self, data: bytes) -> Array:
-        """(M, 11)."""
-        flat = np.frombuffer(data, f"{self.order}f8", self.number * _NUMBERS, self.at + 8)
-        return flat.astype(np.float64).reshape(-1, _NUMBERS)
-
-    def with_grasps(self, data: bytes, count: int, grasps: bytes) -> bytes:
-        """The same array with other grasps, at least one, in the place of those that it has, at least one as well."""
-        number = np.array([count, 0], f"{self.order}u4").tobytes()
-        return data[: self.at] + number + grasps + data[self.at + 8 + self.number * _NUMBERS * 8 :]
-
-    def first(self, data: bytes) -> bytes:
-        """The same array with its first grasp alone."""
-        return self.with_grasps(data, 1, data[self.at + 8 : self.at + 8 + _NUMBERS * 8])
-
-
-class GraspList(NamedTuple):
-    """A GraspArray as somebody needs it who selects from it: grasps as numbers, a message of those that are asked for.
-
-    Hundreds of messages, each made of six others, take rclpy a hundred times as long to make as these numbers.
-    """
-
-    header: Header
-    gripper: GripperMessage
-    reason: str
-    numbers: Array
-    """(M, 11): position, orientation, width, quality, vertical score, confidence."""
-
-    @classmethod
-    def of_message(cls, message: GraspArray) -> GraspList:
-        """Of a message."""
-        return cls(message.header, message.gripper, message.reason, _numbers(message.grasps))
-
-    @classmethod
-    def of_serialized(cls, data: bytes) -> GraspList:
-        """Of a message as it is received.
-
-        Raises:
-            GraspMessageError: it is none.
-        """
-        try:
-            return cls._of_serialized(data)
-        except Exception as error:  # of middleware and bindings, whatever they raise
-            raise GraspMessageError(f"a GraspArray of {len(data)} bytes cannot be read: {error}") from error
-
-    @classmethod
-    def _of_serialized(cls, data: bytes) -> GraspList:
-        layout = _Layout.of(data)
-        if layout is not None and layout.number > 1:
-            numbers = layout.numbers(data)
-            one = cls.of_message(deserialize_message(layout.first(data), GraspArray))
-            if np.array_equal(one.numbers, numbers[:1], equal_nan=True):
-                return one._replace(numbers=numbers)
-        return cls.of_message(deserialize_message(data, GraspArray))
-
-    def grasps(self) -> Grasps:
-        """All of them.
-
-        Raises:
-            GraspMessageError: a number is not finite, or an orientation is no unit quaternion.
-        """
-        return _grasps(self.numbers)
-
-    def message(self, rank: int) -> Grasp:
-        """One of them."""
-        message, row = Grasp(), self.numbers[rank].tolist()
-        position, orientation = message.pose.position, message.pose.orientation
-        position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w = row[:7]
-        message.width, message.quality, message.vertical_score, message.confidence = row[7:]
-        return message
 
 
 def pose_array(header: Header, grasps: Grasps) -> PoseArray:
     """The grasp frames, best first."""
     return PoseArray(header=header, poses=poses_to_messages(grasps.poses))
-
-
-def selected_grasp(
-    source: GraspList, grasps: Grasps, selection: Selection, pre_grasp_distance: float, lift_height: float
-) -> SelectedGrasp:
-    """The message of a selection.
-
-    Args:
-        source: the array that was selected from.
-        grasps: its grasps.
-        selection: which one of them.
-        pre_grasp_distance: how far before the grasp, against its approach axis, the straight approach begins [m].
-        lift_height: how far straight up the grasp is lifted [m].
-    """
-    pose, selected = grasps[selection.rank].poses, source.message(selection.rank)
-    return SelectedGrasp(
-        header=source.header,
-        pre_grasp=poses_to_messages(pre_grasp_poses(pose, pre_grasp_distance))[0],
-        grasp=selected.pose,
-        lift=poses_to_messages(lift_poses(pose, lift_height))[0],
-        opening=float(grasps.width[selection.rank]),
-        policy=selection.policy,
-        score=selection.score,
-        rank=selection.rank,
-        selected=selected,
-        gripper=source.gripper,
-    )
 
 
 def pose_stamped(selected: SelectedGrasp) -> PoseStamped:

@@ -26,7 +26,6 @@ from regnet_ros.conversions import (
     grasp_array,
     gripper_from_message,
     pose_array,
-    serialized_grasp_array,
 )
 from regnet_ros.detection_process import DetectionProcesses, ProcessEndedError, RemoteDetector
 from regnet_ros.inputs import NEXT_CLOUD
@@ -34,6 +33,8 @@ from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Lead, Usual
 from regnet_ros.preprocessor import PreparedCloud, Preprocessor
 from regnet_ros.process import run
+from regnet_ros.received_cloud import CloudReader, ReceivedCloud
+from regnet_ros.serialized_grasps import serialized_grasp_array
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import usable_cores, use_threads
 from regnet_ros.visuals import grasp_markers
@@ -46,7 +47,7 @@ _EARLY = 0.75
 class _Again(NamedTuple):
     """The last cloud, to be worked on with changed parameters."""
 
-    cloud: PointCloud2 | PreparedCloud
+    cloud: ReceivedCloud | PreparedCloud
 
 
 class Detector(GraspNode[DetectorParameters]):
@@ -64,8 +65,9 @@ class Detector(GraspNode[DetectorParameters]):
         self._detectors: dict[tuple[object, ...], GraspDetector | RemoteDetector] = {}
         self._warm: set[tuple[str, str]] = set()
         self._in_use = ("", "")
-        self._last_cloud: PointCloud2 | PreparedCloud | None = None
+        self._last_cloud: ReceivedCloud | PreparedCloud | None = None
         self._usual, self._lead = Usual(), Lead()
+        self._reader = CloudReader()
         super().__init__("detector", awaits="clouds on the topic 'cloud'", **kwargs)
         threads, count = self.settings.threads or usable_cores(), self.settings.at_a_time
         if count == 1:
@@ -92,6 +94,7 @@ class Detector(GraspNode[DetectorParameters]):
         detector = self._detector_for(settings)
         with self.busy:
             self._warm_up(detector, settings)
+            serialized_grasp_array(Header(), Grasps.empty(), settings.gripper, DetectionReport((), "", ""))
         self._announce(detector)
         self._grasps = self.add_publisher(GraspArray, "grasps")
         self._poses = self.add_publisher(PoseArray, "grasp_poses")
@@ -108,7 +111,7 @@ class Detector(GraspNode[DetectorParameters]):
             self.health.awaits = lambda: f"clouds of {source.get_fully_qualified_name()}"
             return
         self._requests = self.add_publisher(Duration, NEXT_CLOUD)
-        topic = self.add_input(PointCloud2, "cloud", settings.input_reliability)
+        topic = self.add_input(PointCloud2, "cloud", settings.input_reliability, serialized=True)
         self.health.awaits = lambda: f"clouds on {topic.description}"
 
     def check_settings(self, proposed: DetectorParameters) -> None:
@@ -131,13 +134,21 @@ class Detector(GraspNode[DetectorParameters]):
         self._ask(0.0)
         return result
 
-    def work(self, item: PointCloud2 | PreparedCloud | _Again) -> None:
-        """Find grasps in one cloud; whatever the cloud is like, one GraspArray is published."""
-        cloud = item.cloud if isinstance(item, _Again) else item
-        self._last_cloud = cloud
+    def work(self, item: bytes | PreparedCloud | _Again) -> None:
+        """Find grasps in one cloud, serialized or not; whatever it is like, one GraspArray is published.
+
+        Raises:
+            CloudError: the bytes are no cloud.
+        """
         start, expected = time.perf_counter(), self._usual.seconds
+        again = isinstance(item, _Again)
+        if isinstance(item, bytes):
+            cloud: ReceivedCloud | PreparedCloud = self._read(item)
+        else:
+            cloud = item.cloud if isinstance(item, _Again) else item
+        self._last_cloud = cloud
         if expected is not None:
-            if item is cloud:
+            if not again:
                 self._lead.add(self.workers.late(expected), expected)
             self._ask(self.workers.free_at(expected) - time.monotonic() - self._lead.seconds)
         try:
@@ -148,6 +159,13 @@ class Detector(GraspNode[DetectorParameters]):
             if expected is None or seconds < _EARLY * expected:
                 self._ask(0.0, seconds)
 
+    def _read(self, data: bytes) -> ReceivedCloud:
+        try:
+            return self._reader.read(data)
+        except CloudError:
+            self._ask(0.0)
+            raise
+
     def _ask(self, seconds: float, since_start: float = 0.0) -> None:
         """Ask for another cloud in so many seconds, or when the parameters allow the next work."""
         left = max(seconds, self.settings.least_period - since_start, 0.0)
@@ -156,7 +174,7 @@ class Detector(GraspNode[DetectorParameters]):
         else:
             self._requests.publish(Duration(sec=int(left), nanosec=int(1e9 * (left % 1.0))))
 
-    def _answer(self, cloud: PointCloud2 | PreparedCloud, settings: DetectorParameters, start: float) -> None:
+    def _answer(self, cloud: ReceivedCloud | PreparedCloud, settings: DetectorParameters, start: float) -> None:
         try:
             detection, seconds = self._detect(cloud, settings, settings.gripper)
         except (InvalidInputError, ProcessEndedError) as error:
@@ -176,17 +194,21 @@ class Detector(GraspNode[DetectorParameters]):
         )
 
     def _detect(
-        self, cloud: PointCloud2 | PreparedCloud, settings: DetectorParameters, gripper: Gripper
+        self, cloud: PointCloud2 | ReceivedCloud | PreparedCloud, settings: DetectorParameters, gripper: Gripper
     ) -> tuple[Detection, float]:
         """The detection, and the seconds that decoding the message took."""
         _check_frame(cloud.header, settings.target_frame)
         start = time.perf_counter()
-        decoded = cloud if isinstance(cloud, PreparedCloud) else cloud_from_message(cloud)
+        if isinstance(cloud, PreparedCloud):
+            points, colors = cloud.points, cloud.colors
+        else:
+            view, colors = cloud.decode() if isinstance(cloud, ReceivedCloud) else cloud_from_message(cloud)
+            points = np.array(view)  # in the layout that all is compiled for
         seconds = time.perf_counter() - start
         viewpoint = np.array(settings.viewpoint) if settings.viewpoint else None
         with self.busy:
             detection = self._detector_for(settings).detect(
-                decoded.points, gripper, decoded.colors, filters=settings.filters, viewpoint=viewpoint
+                points, gripper, colors, filters=settings.filters, viewpoint=viewpoint
             )
         return detection, seconds
 
@@ -231,7 +253,7 @@ class Detector(GraspNode[DetectorParameters]):
         wanted = (detector.model, detector.device)
         if wanted in self._warm or not settings.warm_up:
             return
-        start, points = time.perf_counter(), made_up_cloud()
+        start, points = time.perf_counter(), made_up_cloud().astype(np.float32)
         colors = np.full(points.shape, 128, np.uint8)
         try:
             if isinstance(detector, RemoteDetector):

@@ -14,7 +14,7 @@ from regnet_msgs.action import ExecuteGrasp
 from regnet_msgs.msg import SelectedGrasp
 
 from regnet_core.grasps import Grasps
-from regnet_ros.conversions import GraspList
+from regnet_ros.grasp_list import GraspList
 from regnet_ros.spinning import DestroyableActionClient
 
 ACTION = "execute_grasp"

@@ -11,22 +11,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Duration
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from regnet_core.geometry import Plane
-from regnet_core.preprocessing import preprocess
+from regnet_core.preprocessing import PreprocessingConfig, preprocess
 from regnet_core.report import StepRecorder, StepReport
 from regnet_core.support_plane import fit_support_plane
-from regnet_ros.conversions import cloud_from_message, cloud_to_message
+from regnet_ros.conversions import cloud_to_message
 from regnet_ros.frames import SensorFrames
 from regnet_ros.inputs import LATCHED_QOS, NEXT_CLOUD, OUTPUT_QOS
 from regnet_ros.node import GraspNode, publish_if_heard
 from regnet_ros.pace import Pace
 from regnet_ros.process import run
+from regnet_ros.received_cloud import CloudReader
 from regnet_ros.settings import PreprocessorParameters
 from regnet_ros.visuals import plane_marker
+from regnet_ros.warm_up import made_up_cloud
 
 ZERO_STAMP = (
     "the cloud's stamp is zero: its results cannot be matched with transforms or other data; set it in the driver"
@@ -57,7 +60,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
 
     def __init__(self, **kwargs: Any) -> None:
         self._taker: Taker | None = None
-        self._pace = Pace()
+        self._pace, self._reader = Pace(), CloudReader()
         super().__init__("preprocessor", awaits="clouds on the topic 'points'", **kwargs)
 
     def hand_to(self, taker: Taker | None) -> None:
@@ -65,7 +68,9 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         self._taker = taker
 
     def configure(self) -> None:
-        """Create the topics."""
+        """Have all code ready, then create the topics."""
+        with self.busy:
+            _warm_up()
         self._last_plane = -math.inf
         self._asking = self.resolve_topic_name(NEXT_CLOUD)
         requests = self.create_subscription(
@@ -76,7 +81,7 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
         self.at_cleanup(self._frames.close)
         self._cloud = self.add_publisher(PointCloud2, "cloud")
         self._plane = self.add_publisher(Marker, "support_plane", LATCHED_QOS)
-        source = self.add_input(PointCloud2, "points", self.settings.input_reliability)
+        source = self.add_input(PointCloud2, "points", self.settings.input_reliability, serialized=True)
         self.health.awaits = lambda: f"clouds on {source.description}"
 
     def pause(self) -> float:
@@ -92,8 +97,8 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
     def _on_request(self, message: Duration) -> None:
         self.want(message.sec + 1e-9 * message.nanosec)
 
-    def work(self, item: PointCloud2) -> None:
-        """Prepare one cloud."""
+    def work(self, item: bytes) -> None:
+        """Prepare one cloud, which is serialized."""
         self._pace.begun(time.monotonic())
         try:
             self._prepare(item, self.settings)
@@ -101,17 +106,18 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
             self._pace.failed()  # nobody will ask again
             raise
 
-    def _prepare(self, item: PointCloud2, settings: PreprocessorParameters) -> None:
+    def _prepare(self, item: bytes, settings: PreprocessorParameters) -> None:
         start = time.perf_counter()
-        decoded = cloud_from_message(item)
+        received = self._reader.read(item)
+        given, decoded = received.header, received.decode()
         T_target_cloud = self._frames.pose(
-            item.header, settings.target_frame, settings.sensor_pose, settings.transform_patience
+            given, settings.target_frame, settings.sensor_pose, settings.transform_patience
         )
         converted = time.perf_counter()
         with self.busy:
             result = preprocess(decoded.points, decoded.colors, T_target_cloud, settings.config)
         prepared = time.perf_counter()
-        header = Header(stamp=item.header.stamp, frame_id=settings.target_frame)
+        header = Header(stamp=given.stamp, frame_id=settings.target_frame)
         cloud = PreparedCloud(header, result.points, result.colors)
         taker = self._taker  # the detector may be cleaned up meanwhile
         if taker is None:
@@ -136,13 +142,22 @@ class Preprocessor(GraspNode[PreprocessorParameters]):
             self._plane.publish(plane_marker(header, plane, result.points))
             stages["support plane"] = time.perf_counter() - published
             steps.append(step)
-        unstamped = item.header.stamp.sec == 0 and item.header.stamp.nanosec == 0
+        unstamped = given.stamp.sec == 0 and given.stamp.nanosec == 0
         self.done(
             stages,
             steps,
             {"points": len(result.points)},
             result.reason or (ZERO_STAMP if unstamped else ""),
         )
+
+
+def _warm_up() -> None:
+    """Prepare a cloud in either usual layout, as all that is compiled or loaded for one of them takes time at first."""
+    points = made_up_cloud()
+    for colors in (None, np.zeros(points.shape, np.uint8)):
+        cloud = CloudReader().read(serialize_message(cloud_to_message(Header(), points, colors))).decode()
+        result = preprocess(cloud.points, cloud.colors, np.eye(4), PreprocessingConfig(max_points=len(points) // 2))
+    _support_plane(result.points, 0)
 
 
 def _support_plane(points: npt.NDArray[np.float32], seed: int) -> tuple[Plane | None, StepReport]:

@@ -14,14 +14,9 @@ from visualization_msgs.msg import MarkerArray
 
 from regnet_core.errors import InvalidInputError
 from regnet_core.policy import Policy, select
-from regnet_ros.conversions import (
-    GraspList,
-    GraspMessageError,
-    gripper_from_message,
-    pose_stamped,
-    selected_grasp,
-)
+from regnet_ros.conversions import GraspMessageError, gripper_from_message, pose_stamped
 from regnet_ros.execution import Candidates, Execution
+from regnet_ros.grasp_list import GraspList, selected_grasp
 from regnet_ros.inputs import LATCHED_QOS
 from regnet_ros.node import GraspNode
 from regnet_ros.process import run

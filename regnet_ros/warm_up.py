@@ -1,4 +1,4 @@
-"""A made-up cloud to detect grasps in once, so that all code is compiled and loaded before the first real cloud."""
+"""A made-up cloud to work on once, so that all code is compiled and loaded before the first real one."""
 
 from __future__ import annotations
 

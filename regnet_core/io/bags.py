@@ -120,7 +120,7 @@ def _decode(message: _Message, tree: FrameTree) -> BagCloud:
         topic=message.topic,
         stamp_ns=stamp.sec * 10**9 + stamp.nanosec,
         frame_id=frame,
-        points=points,
+        points=points.copy(),  # the user may change them
         colors=colors,
         T_root_cloud=pose.T_root_frame if pose else None,
         root_frame=pose.root if pose else frame,

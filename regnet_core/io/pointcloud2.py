@@ -56,7 +56,8 @@ class DecodedCloud(NamedTuple):
     """The points of a message in its own frame, row by row, invalid (NaN) points included."""
 
     points: npt.NDArray[np.floating[Any]]
-    """(N, 3) [m], N = height * width; float64 where the message has float64 coordinates, otherwise float32."""
+    """(N, 3) [m], N = height * width; float64 where the message has float64 coordinates, otherwise float32. A view of
+    the message's bytes where they hold just such numbers, and then only to be read."""
     colors: Colors | None
     """(N, 3) red, green, blue in 0..255; None when the message has no colours that can be read."""
 
@@ -98,22 +99,17 @@ def decode_cloud(
     if height == 1:
         row_step = width * point_step
     _check_extent(width, height, point_step, row_step, len(buffer))
-    order = ">" if is_bigendian else "<"
+    order, size, steps = ">" if is_bigendian else "<", (height, width), (row_step, point_step)
+    points = _view_of_coordinates(buffer, axes, order, size, steps)
+    if points is None:
+        formats = [f"{order}f{_size(f)}" for f in axes]
+        records = _records(buffer, list(_AXES), formats, [f.offset for f in axes], size, steps)
+        points = np.empty((*size, 3), np.float64 if any(_size(f) == 8 for f in axes) else np.float32)
+        for column, axis in enumerate(_AXES):
+            points[..., column] = records[axis]
     names, formats, offsets = _colour_layout(table, order, point_step)
-    record = np.dtype(
-        {
-            "names": [*_AXES, *names],
-            "formats": [*(f"{order}f{_size(f)}" for f in axes), *formats],
-            "offsets": [*(f.offset for f in axes), *offsets],
-            "itemsize": point_step,
-        }
-    )
-    records = np.ndarray((height, width), record, buffer, strides=(row_step, point_step))
-    wide = any(_size(f) == 8 for f in axes)
-    points = np.empty((height, width, 3), np.float64 if wide else np.float32)
-    for column, axis in enumerate(_AXES):
-        points[..., column] = records[axis]
-    return DecodedCloud(points.reshape(-1, 3), _read_colors(records, names))
+    colors = _read_colors(_records(buffer, names, formats, offsets, size, steps), names) if names else None
+    return DecodedCloud(points.reshape(-1, 3), colors)
 
 
 def encode_cloud(points: npt.ArrayLike, colors: npt.ArrayLike | None = None) -> EncodedCloud:
@@ -188,6 +184,32 @@ def _check_extent(width: int, height: int, point_step: int, row_step: int, size:
         )
 
 
+def _view_of_coordinates(
+    buffer: npt.NDArray[np.uint8], axes: list[FieldLike], order: str, size: tuple[int, int], steps: tuple[int, int]
+) -> npt.NDArray[np.floating[Any]] | None:
+    """(height, width, 3): what the buffer holds, where x, y, z lie in a row as this machine's numbers do."""
+    each, first = _size(axes[0]), axes[0].offset
+    kind = np.dtype(f"{order}f{each}")
+    if not kind.isnative or any((_size(f), f.offset) != (each, first + i * each) for i, f in enumerate(axes)):
+        return None
+    view: npt.NDArray[np.floating[Any]] = np.ndarray((*size, 3), kind, buffer, first, (*steps, each))
+    view.flags.writeable = False
+    return view if view.flags.aligned else None
+
+
+def _records(
+    buffer: npt.NDArray[np.uint8],
+    names: list[str],
+    formats: list[str],
+    offsets: list[int],
+    size: tuple[int, int],
+    steps: tuple[int, int],
+) -> npt.NDArray[np.void]:
+    """(height, width) of records that have these fields."""
+    record = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": steps[1]})
+    return np.ndarray(size, record, buffer, strides=steps)
+
+
 def _colour_layout(table: dict[str, FieldLike], order: str, point_step: int) -> tuple[list[str], list[str], list[int]]:
     """Names, numpy formats and offsets of what holds the colours; empty lists when there are none to read."""
     for name in _PACKED:
@@ -204,9 +226,7 @@ def _colour_layout(table: dict[str, FieldLike], order: str, point_step: int) -> 
     return [], [], []
 
 
-def _read_colors(records: npt.NDArray[np.void], names: list[str]) -> Colors | None:
-    if not names:
-        return None
+def _read_colors(records: npt.NDArray[np.void], names: list[str]) -> Colors:
     colors = np.empty((*records.shape, 3), np.uint8)
     if len(names) == 1:
         packed = records[names[0]].astype(np.uint32)

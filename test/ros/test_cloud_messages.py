@@ -13,7 +13,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from regnet_core.errors import CloudError
+from regnet_ros import received_cloud
 from regnet_ros.conversions import cloud_from_message, cloud_to_message
+from regnet_ros.received_cloud import CloudReader
 
 REFUSED = [odd for odd in ODD_CLOUDS if odd.decoder]
 ACCEPTED = [odd for odd in ODD_CLOUDS if not odd.decoder]
@@ -45,6 +47,64 @@ def test_an_unusual_cloud_is_decoded_point_by_point(odd: OddCloud) -> None:
             size = np.dtype(kind).itemsize
             expected = np.frombuffer(bytes(message.data[start + offset : start + offset + size]), kind)[0]
             np.testing.assert_equal(decoded.points[index, axis], expected)
+
+
+@pytest.mark.parametrize("odd", ODD_CLOUDS, ids=lambda odd: odd.name)
+def test_a_cloud_is_read_from_its_bytes_as_from_its_message(odd: OddCloud) -> None:
+    message = odd.make()
+    message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id = -5, 7, "camera"
+    reader = CloudReader()
+    for _ in range(2):  # the second one has the layout of the first
+        received = reader.read(serialize_message(message))
+        assert received.header == message.header
+        if odd.decoder:
+            with pytest.raises(CloudError, match=odd.decoder):
+                received.decode()
+        else:
+            expected, decoded = cloud_from_message(message), received.decode()
+            np.testing.assert_array_equal(decoded.points, expected.points)
+            np.testing.assert_array_equal(decoded.colors, expected.colors)
+        message.header.stamp.sec += 6
+
+
+def test_clouds_of_different_layouts_are_read_by_turns() -> None:
+    colors = np.random.default_rng(0).integers(0, 256, SCENE.shape, dtype=np.uint8)
+    messages = [
+        cloud_to_message(Header(frame_id="a"), SCENE),
+        cloud_to_message(Header(frame_id="b"), SCENE),
+        cloud_to_message(Header(frame_id="a"), SCENE[:-1]),
+        cloud_to_message(Header(frame_id="a"), SCENE, colors),
+        cloud_to_message(Header(), SCENE[::-1]),
+    ]
+    messages[1].is_dense = False
+    reader = CloudReader()
+    for number in (0, 1, 0, 0, 2, 3, 4, 2, 1):
+        received, expected = reader.read(serialize_message(messages[number])), cloud_from_message(messages[number])
+        assert received.header.frame_id == messages[number].header.frame_id
+        np.testing.assert_array_equal(received.decode().points, expected.points)
+        np.testing.assert_array_equal(received.decode().colors, expected.colors)
+
+
+def test_points_stay_in_the_message_and_cannot_be_changed() -> None:
+    data = serialize_message(cloud_to_message(Header(frame_id="world"), SCENE))
+    points = CloudReader().read(data).decode().points
+    assert np.shares_memory(points, np.frombuffer(data, np.uint8)) and not points.flags.writeable
+
+
+def test_bytes_that_are_no_cloud_are_refused() -> None:
+    data = serialize_message(cloud_to_message(Header(frame_id="world"), SCENE[:9]))
+    assert len(CloudReader().read(data).decode().points) == 9
+    for wrong in (b"", data[:3], data[:20], data[:60], data[:-20], b"\0\1\0\0" + b"\xff" * 100):
+        with pytest.raises(CloudError, match=f"a PointCloud2 of {len(wrong)} bytes cannot be read"):
+            CloudReader().read(wrong)
+
+
+def test_bytes_in_another_layout_are_read_by_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = serialize_message(cloud_to_message(Header(frame_id="world"), SCENE))
+    monkeypatch.setattr(received_cloud, "_data_in", lambda message: None)
+    received = CloudReader().read(data)
+    assert received.header.frame_id == "world"
+    np.testing.assert_array_equal(received.decode().points, SCENE.astype(np.float32))
 
 
 def test_colours_in_every_layout() -> None:

@@ -15,9 +15,8 @@ from visualization_msgs.msg import Marker
 from regnet_core import DetectionReport, Grasps, Gripper, InvalidInputError, Plane, StepReport
 from regnet_core.geometry import matrix_from_quaternion, pose_matrix
 from regnet_core.policy import Selection
+from regnet_ros import serialized_grasps
 from regnet_ros.conversions import (
-    GraspList,
-    _Layout,
     grasp_array,
     grasps_from_messages,
     gripper_from_message,
@@ -26,10 +25,10 @@ from regnet_ros.conversions import (
     pose_stamped,
     pose_to_message,
     report_from_message,
-    selected_grasp,
-    serialized_grasp_array,
 )
+from regnet_ros.grasp_list import GraspList, _Layout, selected_grasp
 from regnet_ros.selector import _candidates
+from regnet_ros.serialized_grasps import serialized_grasp_array
 from regnet_ros.visuals import grasp_markers, gripper_lines, plane_marker, rank_colour, selection_markers
 
 HEADER = Header(frame_id="world")
@@ -47,6 +46,18 @@ def test_grasps_survive_the_wire() -> None:
         np.testing.assert_array_equal(getattr(back, name), getattr(sent, name))
     assert gripper_from_message(received.gripper) == Gripper(width=0.07)
     assert report_from_message(received) == report
+
+
+def test_a_middleware_with_another_encoding_gets_what_rclpy_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert serialized_grasps._is_understood()
+    given = HEADER, grasps(), Gripper(), DetectionReport((StepReport("ranking", 4, 6, 0.001),), "made-up", "cpu")
+    own = serialized_grasp_array(*given)
+    for broken in (b"", own[:-9], bytes([7]) + own[1:], own[:72] + bytes(4) + own[76:]):
+        serialized_grasps._is_understood.cache_clear()
+        monkeypatch.setattr(serialized_grasps, "_written", lambda *_, data=broken: data)
+        assert not serialized_grasps._is_understood()
+        assert serialized_grasp_array(*given) == serialize_message(grasp_array(*given))
+    serialized_grasps._is_understood.cache_clear()
 
 
 @pytest.mark.parametrize("frame", ["", "w", "world", "camera_1", "Größe/µ", "a_frame_with_a_long_name"])

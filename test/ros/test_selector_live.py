@@ -21,8 +21,8 @@ from regnet_msgs.msg import GraspArray, SelectedGrasp
 from regnet_msgs.srv import SelectGrasp
 from visualization_msgs.msg import Marker, MarkerArray
 
-from regnet_ros.conversions import GraspList
 from regnet_ros.execution import Candidates, Execution
+from regnet_ros.grasp_list import GraspList
 from regnet_ros.settings import SelectorParameters
 
 CHANGED = ("policy", "midpoint", "reach_min", "reach_max", "approach_max_angle", "max_attempts", "execute")
