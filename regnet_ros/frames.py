@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class SensorFrames:
         if frame == target_frame.lstrip("/"):
             return np.eye(4)
         if len(sensor_pose) > 0:
-            return pose_matrix(sensor_pose[:3], sensor_pose[3:])
+            return _pose(tuple(sensor_pose))
         if not frame:
             raise FrameError(
                 "the cloud has no frame_id, so it is not known where the camera is: set the frame in the camera's "
@@ -82,6 +83,14 @@ class SensorFrames:
         except Exception as error:  # tf2's exceptions have no common base that is importable without it
             raise FrameError(f"no transform from '{frame}' to '{target_frame}' ({error}): {_ADVICE}") from error
         return transform_matrix(stamped.transform)
+
+
+@lru_cache(maxsize=1)
+def _pose(pose: tuple[float, ...]) -> Array:
+    """That of every cloud of a camera that does not move."""
+    matrix = pose_matrix(pose[:3], pose[3:])
+    matrix.flags.writeable = False
+    return matrix
 
 
 def _listen(node: Node) -> tuple[Any, Any]:

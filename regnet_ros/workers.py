@@ -12,6 +12,8 @@ from regnet_ros.mailbox import Mailbox
 
 _NAP = 0.02
 """Longest sleep of a thread that waits for its turn [s]; a signal is noticed so soon."""
+_COURTESY = 0.001
+"""Longest time to wait for a thread that has nothing to do to take an item [s]."""
 _SPREAD = 0.8
 """With several threads each item is wanted so late after the last one, as a share of what would be an even spread."""
 
@@ -84,6 +86,10 @@ class Workers(Generic[Item]):
         self._taking = threading.Lock()
         """Held while a thread waits for its turn: the others come after it."""
         self._places = Places(count)
+        self._taken = threading.Event()
+        """Set when an item is taken."""
+        self._idle, self._counting = 0, threading.Lock()
+        """Threads that wait for something to do."""
         self._threads: list[threading.Thread] = []
         self._last_start = self._since = -math.inf
         self._before = threading.Event()
@@ -106,9 +112,17 @@ class Workers(Generic[Item]):
                 thread.start()
 
     def put(self, item: Item) -> bool:
-        """Have an item worked on; True when it replaced one that nobody had taken."""
+        """Have an item worked on; True when it replaced one that nobody had taken.
+
+        A thread that has nothing to do begins first: only one at a time can run Python, and who puts something in often
+        has a good deal to do afterwards for which there is time.
+        """
+        idle = self._idle > 0
+        self._taken.clear()
         replaced = self._mailbox.put(item)
         self._wake.set()
+        if idle:
+            self._taken.wait(_COURTESY)
         return replaced
 
     def put_if_idle(self, item: Item) -> None:
@@ -175,7 +189,11 @@ class Workers(Generic[Item]):
     def _run(self) -> None:
         self._own.ended = -math.inf
         while not self._ended:
+            with self._counting:
+                self._idle += 1
             self._wake.wait()
+            with self._counting:
+                self._idle -= 1
             self._wake.clear()
             while (item := self._next()) is not None:
                 try:
@@ -201,6 +219,7 @@ class Workers(Generic[Item]):
             own.before, own.done = self._before, threading.Event()
             self._before, self._last_start = own.done, now
             self._starts[threading.get_ident()] = now
+            self._taken.set()
             return item
 
     def _wait_for_turn(self) -> bool:
