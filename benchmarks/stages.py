@@ -16,16 +16,10 @@ from regnet_core.nn.config import NetworkConfig
 
 MESSAGE_STAGES = (
     Stage(
-        "deserialisation",
-        "messages",
-        "bytes of DDS to message objects, as rclpy does it for every subscription",
-        ("benchmarks.messages:received",),
-    ),
-    Stage(
         "message to cloud",
         "messages",
-        "a PointCloud2 of any layout to arrays of points and colours",
-        ("regnet_ros.conversions:cloud_from_message",),
+        "a PointCloud2 of any layout, as it is received, to arrays of points and colours",
+        ("regnet_ros.received_cloud:CloudReader.read", "regnet_ros.received_cloud:ReceivedCloud.decode"),
     ),
     Stage(
         "cloud to message",
@@ -37,7 +31,7 @@ MESSAGE_STAGES = (
         "grasps to message",
         "messages",
         "grasps and report to a serialized GraspArray, and to a PoseArray",
-        ("regnet_ros.conversions:serialized_grasp_array", "regnet_ros.conversions:pose_array"),
+        ("regnet_ros.serialized_grasps:serialized_grasp_array", "regnet_ros.conversions:pose_array"),
     ),
     Stage(
         "markers",
@@ -58,9 +52,11 @@ CLOUD_STAGES = (
     Stage(
         "validation",
         "preparation",
-        "shapes, types, which points are finite, near enough and in the workspace; the preprocessor also transforms",
+        "shapes, types, which points are finite, near enough and in the workspace; the preprocessor also transforms "
+        "and draws some",
         (
             "regnet_core.pointcloud:place_points",
+            "regnet_core.pointcloud:usable_rows",
             "regnet_core.pointcloud:validate_colors",
             "regnet_core.pointcloud:as_points",
         ),
@@ -68,14 +64,15 @@ CLOUD_STAGES = (
     Stage(
         "sampling",
         "preparation",
-        "one point of each voxel, and random draws",
+        "one point of each voxel, and random draws of those",
         ("regnet_core.pointcloud:voxel_downsample", "regnet_core.pointcloud:random_sample"),
     ),
 )
 """What preprocessor and detector both do with a cloud."""
 
 PREPROCESSOR_STAGES = (
-    *CLOUD_STAGES,
+    CLOUD_STAGES[0],
+    replace(CLOUD_STAGES[1], needed=stage.maybe),  # where it is to thin by voxels
     Stage(
         "preprocessing, the rest",
         "preparation",
@@ -90,7 +87,7 @@ SCENE_STAGES = (
         "support plane",
         "preparation",
         "fitting the plane that objects stand on",
-        ("regnet_core.pointcloud:fit_support_plane",),
+        ("regnet_core.support_plane:fit_support_plane",),
     ),
     Stage(
         "crop",

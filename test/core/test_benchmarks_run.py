@@ -130,7 +130,7 @@ def test_a_small_run(tmp_path: Path) -> None:
     )
     result = measure_matrix(settings, lambda line: None)
     (run,), (plain,), (peak,) = result.runs, result.references, result.peaks
-    assert {"validation", "sampling"} <= {stage.name for stage in run.stages if stage.part == "preprocessor"}
+    assert "validation" in {stage.name for stage in run.stages if stage.part == "preprocessor"}
     assert (run.model, run.weights, run.precision, run.points) == ("regnetv2-s", "random, seed 0", "fp32", 3000)
     assert 0 < run.seen == plain.seen <= run.prepared <= 3000
     stages = {stage.name: stage for stage in run.stages if stage.part == "detector"}
