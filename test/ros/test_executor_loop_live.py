@@ -41,13 +41,15 @@ def test_a_bin_is_emptied_though_nodes_are_killed(system: System) -> None:
     wait_for(lambda: "3 to pick, 0 placed" in loop.output, "the filled bin", LONG)
     kill(loop, "detector")
     kill(loop, "selector")
-    wait_for(lambda: "2 to pick, 1 placed" in loop.output, "the first object to be placed", LONG)
+    wait_for(lambda: "2 to pick" in loop.output, "the first object to be picked", LONG)
     kill(loop, "executor")
     assert loop.wait(LONG) == 0, loop.output
     told = re.findall(r"^(\d) to pick, (\d) placed, (\d) beside the bins$", loop.output, flags=re.M)
     # Nobody put anything back: an executor that is started again finds the objects where they were.
     assert [row[0] for row in told] == sorted((row[0] for row in told), reverse=True)
-    assert told[0] == ("3", "0", "0") and told[-1] == ("0", "3", "0")
+    assert told[0] == ("3", "0", "0") and told[-1][0] == "0"
+    placed, beside = (int(number) for number in told[-1][1:])
+    assert placed + beside == 3 and placed >= 2  # a grasp in three may lose what it held
     assert "Traceback" not in loop.output
 
 
