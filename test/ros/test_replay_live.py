@@ -112,7 +112,7 @@ def test_a_bag_of_one_message_is_not_repeated_without_pause(system: System) -> N
     gaps = np.diff(arrivals.times[:4])
     player.signal(signal.SIGINT)
     assert player.wait() == 0, player.output
-    assert gaps.mean() > 0.2  # a quarter of a second at this rate
+    assert np.median(gaps) > 0.2  # a quarter of a second at this rate; the first cloud may have been late
     arrivals.close()
 
 
