@@ -117,6 +117,7 @@ SCENE_STAGES = (
         "preparation",
         "the volume below what was seen, and its surface",
         (
+            "regnet_core.completion:columns_of",
             "regnet_core.completion:fill_columns",
             "regnet_core.completion:hidden_surface",
             "regnet_core.completion:SolidModel.outward",

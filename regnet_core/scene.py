@@ -1,4 +1,8 @@
-"""The observed scene, prepared once for every detector: clean cloud, support plane, object surface, hidden surface."""
+"""The observed scene, prepared once for every detector: clean cloud, support plane, object surface, hidden surface.
+
+What was seen is there at once. What is inferred from it (which way normals point, hidden sides, unseen ground) is
+computed when a method or the collision check asks, as no network looks at it: ``SceneCompletion``.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.clusters import beyond, cluster, structure
-from regnet_core.completion import SolidModel, fill_columns, hidden_surface
+from regnet_core.completion import Columns, HiddenSurface, SolidModel, columns_of, fill_columns, hidden_surface
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
+from regnet_core.later import Later
 from regnet_core.ops.local_planes import flattened
 from regnet_core.ops.rows import taken
 from regnet_core.ops.slabs import layers
@@ -30,6 +35,8 @@ from regnet_core.report import StepRecorder
 from regnet_core.support_plane import fit_support_plane
 from regnet_core.visibility import UnseenGround, unseen_ground
 
+_FEWEST_TO_FILL = 10
+"""Of fewer points nothing is inferred about hidden sides."""
 _MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
 """Normals are estimated from neighbourhoods of such radii [m]."""
 
@@ -80,6 +87,33 @@ class Surface:
     """(S,): row of the point in the user's array; -1 for inferred ones."""
 
 
+class _Found(NamedTuple):
+    """What was seen of the objects, O points."""
+
+    points: Array
+    normals: Array
+    """(O, 3), of which the sign is not known yet."""
+    source: Index
+    height: Array
+    """(O,): above ``base`` [m]."""
+    base: Plane
+    """The support plane, or what stands for it."""
+    structure: Array
+    ground: npt.NDArray[np.float32]
+    """(P, 2): x and y of what was seen of the support plane; none without one."""
+
+
+class SceneCompletion(NamedTuple):
+    """What is inferred from what was seen, each part once, when somebody asks: ``completion.hidden()``."""
+
+    hidden: Later[HiddenSurface]
+    """The hidden sides of the objects."""
+    objects: Later[Surface]
+    """``Scene.objects``."""
+    ground: Later[UnseenGround | None]
+    """``Scene.ground``."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """One cloud, ready for detection."""
@@ -94,12 +128,20 @@ class Scene:
     """(O, 3): what the camera saw of the objects' surface, the first rows of that [m]."""
     structure: Array
     """(K, 3): points of walls, people, furniture, which are only in the way [m]."""
-    objects: Surface
-    """The surface of what stands on the plane (everything when there is no plane)."""
-    ground: UnseenGround | None
-    """Which part of the plane was not seen; None without a plane."""
+    completion: SceneCompletion = field(repr=False)
+    """What is inferred."""
     given_colors: npt.NDArray[Any] | None = field(repr=False)
     """(M, 3): the user's colours, a row for each row of the user's array, or None."""
+
+    @property
+    def objects(self) -> Surface:
+        """The surface of what stands on the plane (everything when there is no plane)."""
+        return self.completion.objects()
+
+    @property
+    def ground(self) -> UnseenGround | None:
+        """Which part of the plane was not seen; None without a plane."""
+        return self.completion.ground()
 
     @property
     def colors(self) -> npt.NDArray[np.float64] | None:
@@ -109,7 +151,7 @@ class Scene:
     @property
     def obstacles(self) -> Array:
         """(S + K, 3): everything above the plane that a hand could hit; the objects' points come first [m]."""
-        return np.concatenate([self.objects.points, self.structure])
+        return np.concatenate([self.seen, self.completion.hidden().points, self.structure])
 
     def wanted(self, focus: Mask | None) -> Mask:
         """(S,): the points of the objects' surface that are in focus, all of them when there is none."""
@@ -147,25 +189,10 @@ def prepare_scene(
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
         found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
-        objects, ground = _complete(found, plane, config, viewpoint, recorder.warnings)
+        columns = _columns(found, plane, config, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
-    return Scene(cloud, source, plane, found.points, found.structure, objects, ground, colors)
-
-
-class _Found(NamedTuple):
-    """What was seen of the objects, O points."""
-
-    points: Array
-    normals: Array
-    """(O, 3), of which the sign is not known yet."""
-    source: Index
-    height: Array
-    """(O,): above ``base`` [m]."""
-    base: Plane
-    """The support plane, or what stands for it."""
-    structure: Array
-    ground: npt.NDArray[np.float32]
-    """(P, 2): x and y of what was seen of the support plane; none without one."""
+    completion = _completion(found, columns, viewpoint, plane is not None and config.complete_hidden)
+    return Scene(cloud, source, plane, found.points, found.structure, completion, colors)
 
 
 def _thinned(points: npt.NDArray[Any], rows: Index, config: SceneConfig) -> Index:
@@ -209,53 +236,56 @@ def _find_surface(
     return _Found(flat, taken(local.normal, keep), source[keep], height[keep], base, wall, seen.ground)
 
 
-def _complete(
-    found: _Found,
-    plane: Plane | None,
-    config: SceneConfig,
-    viewpoint: Array | None,
-    warnings: list[str],
-) -> tuple[Surface, UnseenGround | None]:
-    """The objects' surface with outward normals and hidden sides, and the ground."""
-    points, normals, source, height, base, _, ground = found
-    model = fill_columns(points, base) if config.complete_hidden else None
-    if plane is None and len(points) > 0:
+def _columns(found: _Found, plane: Plane | None, config: SceneConfig, warnings: list[str]) -> Columns | None:
+    """The columns below the objects, where hidden sides are to be inferred and can be."""
+    if plane is None and len(found.points) > 0:
         warnings.append("no support plane was found: objects are taken to stand at the height of the lowest point")
-    elif model is None and config.complete_hidden and len(points) >= 10:
+    if not config.complete_hidden or len(found.points) < _FEWEST_TO_FILL:
+        return None
+    columns = columns_of(found.points, found.base)
+    if columns is None and plane is not None:
         warnings.append("the objects are spread too wide for their hidden sides to be inferred; crop the cloud")
-    normals = _outward(points, normals, height, model, viewpoint)
-    objects = Surface(points, normals, np.ones(len(points), bool), source)
-    if model is not None:
-        objects = _with_hidden_sides(objects, model, base)
-    if plane is None or not config.complete_hidden:
-        return objects, None
-    return objects, unseen_ground(ground, objects.points)
+    return columns
+
+
+def _completion(found: _Found, columns: Columns | None, viewpoint: Array | None, maps_ground: bool) -> SceneCompletion:
+    # No part refers to the whole: scenes go when nobody has them any more, without waiting for the garbage collector.
+    solid = Later(lambda: None if columns is None else fill_columns(columns))
+    hidden = Later(lambda: _hidden(found, solid()))
+    objects = Later(lambda: _surface(found, _outward(found, solid(), viewpoint), hidden()))
+    ground = Later(lambda: unseen_ground(found.ground, objects().points) if maps_ground else None)
+    return SceneCompletion(hidden, objects, ground)
+
+
+def _hidden(found: _Found, solid: SolidModel | None) -> HiddenSurface:
+    return HiddenSurface.empty() if solid is None else hidden_surface(solid, found.base, found.points)
+
+
+def _outward(found: _Found, solid: SolidModel | None, viewpoint: Array | None) -> Array:
+    """Normals (O, 3) turned outwards: to the camera, out of the filled volume, or away from the cluster's middle."""
+    points, normals = found.points, found.normals
+    if len(points) == 0:
+        return normals
+    if viewpoint is not None:
+        return normalised(orient_normals(normals, viewpoint - points))
+    if solid is not None:
+        return solid.outward(normals, points, found.height)
+    groups = cluster(points)
+    return normalised(orient_normals(normals, points - groups.mean(points)[groups.label]))
+
+
+def _surface(found: _Found, normals: Array, hidden: HiddenSurface) -> Surface:
+    """What was seen, with these normals (O, 3), and then the hidden sides."""
+    observed = np.zeros(len(found.points) + len(hidden.points), bool)
+    observed[: len(found.points)] = True
+    return Surface(
+        np.concatenate([found.points, hidden.points]),
+        np.concatenate([normals, hidden.normals]),
+        observed,
+        np.concatenate([found.source, np.full(len(hidden.points), -1)]),
+    )
 
 
 def _lowest_level(cloud: npt.NDArray[np.floating]) -> Plane:
     """The level plane under nearly all points, for clouds that show objects and no table."""
     return Plane((0.0, 0.0, 1.0), float(np.quantile(cloud[:, 2], 0.01)) - 0.002 if len(cloud) else 0.0)
-
-
-def _outward(points: Array, normals: Array, height: Array, model: SolidModel | None, viewpoint: Array | None) -> Array:
-    """Normals (S, 3) turned outwards: to the camera, out of the filled volume, or away from the cluster's middle."""
-    if len(points) == 0:
-        return normals
-    if viewpoint is not None:
-        return normalised(orient_normals(normals, viewpoint - points))
-    if model is not None:
-        return model.outward(normals, points, height)
-    groups = cluster(points)
-    return normalised(orient_normals(normals, points - groups.mean(points)[groups.label]))
-
-
-def _with_hidden_sides(objects: Surface, model: SolidModel, base: Plane) -> Surface:
-    """The surface with the hidden sides of the filled volume."""
-    hidden = hidden_surface(model, base, objects.points)
-    count = len(hidden.points)
-    return Surface(
-        np.concatenate([objects.points, hidden.points]),
-        np.concatenate([objects.normals, hidden.normals]),
-        np.concatenate([objects.observed, np.zeros(count, bool)]),
-        np.concatenate([objects.source, np.full(count, -1)]),
-    )

@@ -113,8 +113,11 @@ def seen_from_above(
     return _seen(parts[0], grids[0], parts[1], grids[1], marked, reach).view(np.bool_)  # type: ignore[no-any-return]
 
 
-def highest(points: npt.NDArray[Any], height: Array, low: Array, cell: float, shape: tuple[int, int]) -> Array:
-    """(nx, ny): the largest height (N,) of the points (N, >= 2) nearest to each cell, or 0.
+def highest(
+    points: npt.NDArray[Any], height: Array, low: Array, cell: float, shape: tuple[int, int], reach: int
+) -> Array:
+    """(nx, ny): the largest height (N,) of the points (N, >= 2) nearest to each cell; where there is none, or only 0,
+    what closing gives, which fills gaps of up to twice ``reach``.
 
     Args:
         points: (N, >= 2) [m], all on the map.
@@ -122,18 +125,23 @@ def highest(points: npt.NDArray[Any], height: Array, low: Array, cell: float, sh
         low: (2,), the centre of cell (0, 0) [m].
         cell: edge length of a cell [m].
         shape: nx, ny.
+        reach: [cells].
     """
-    top = np.zeros(shape)
-    _raise(points, height, low, cell, top)
-    return top
+    return _highest(points, height, low, cell, np.zeros(shape), reach)  # type: ignore[no-any-return]
 
 
 @compiled
-def _raise(points, height, low, cell, top):  # type: ignore[no-untyped-def]
+def _highest(points, height, low, cell, top, reach):  # type: ignore[no-untyped-def]
     for p in range(len(points)):
         i = np.int64(np.rint((points[p, 0] - low[0]) / cell))
         j = np.int64(np.rint((points[p, 1] - low[1]) / cell))
         top[i, j] = max(top[i, j], height[p])
+    filled = closed_loop(top, reach)
+    for x in range(len(top)):
+        for y in range(top.shape[1]):
+            if top[x, y] <= 0.0:
+                top[x, y] = filled[x, y]
+    return top
 
 
 @compiled

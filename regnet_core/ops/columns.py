@@ -9,43 +9,63 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from regnet_core.geometry import Array
-from regnet_core.ops.compiled import compiled
+from regnet_core.geometry import Array, Mask
+from regnet_core.ops.compiled import compiled, inlined
+from regnet_core.ops.lanes import add_scaled
 from regnet_core.ops.parallel import for_each_range
+
+TOGETHER = 16
+"""Levels that are computed at a time; grids have a multiple of these."""
+_HALF = 0.5
+"""A voxel that is filled by more than this is inside."""
+
+
+class Volume(NamedTuple):
+    """How far each voxel is filled, for the columns that are near filled ones; most of a map is empty."""
+
+    row: npt.NDArray[np.int32]
+    """(nx, ny): which row each column has; 0 for those with nothing near."""
+    filled: npt.NDArray[np.float32]
+    """(R, nz) in [0, 1], never rising along z; 0 in the first row. ``filled[row]`` is the whole volume."""
+    inside: npt.NDArray[np.int64]
+    """(R,): how many voxels of each row, the lowest ones, are filled by more than a half."""
 
 
 class Walls(NamedTuple):
     """Points on a surface."""
 
     points: Array
-    """(W, 3) [voxels]."""
+    """(W, 3) [m]."""
     normals: Array
-    """(W, 3), of length 1, to where the density is lower."""
+    """(W, 3), of length 1, to where less is filled."""
+    clear: Mask
+    """(W,): whether the filling falls so fast that this means much."""
 
 
 def smoothed_columns(
     top: npt.NDArray[np.floating], z: npt.NDArray[np.floating], deviation: float, truncate: float
-) -> Array:
-    """(nx, ny, nz) in [0, 1]: the columns, smoothed by a Gaussian.
+) -> Volume:
+    """Columns that are filled from below, smoothed by a Gaussian.
 
     As ``scipy.ndimage.gaussian_filter`` does it, up to rounding, where nothing is filled within the Gaussian's reach of
     the grid's sides. A column is a step, so that along z there are only as many different results as levels.
 
     Args:
         top: (nx, ny), up to where each column is filled; 0 or less: not at all [m].
-        z: (nz,) of the voxels' centres, rising [m].
+        z: (nz,) of the voxels' centres, rising [m]; a multiple of ``TOGETHER``.
         deviation: of the Gaussian [voxels].
         truncate: where it ends [deviations].
     """
+    if len(z) % TOGETHER != 0:
+        raise ValueError(f"the number of levels must be a multiple of {TOGETHER}, got {len(z)}")
     table, weights = _kernels(len(z), deviation, truncate)
-    filled = np.empty(top.shape, np.int32)
-    _levels(top, z, filled)
-    across = np.empty((*top.shape, len(z)), np.float32)
-    density = np.empty_like(across)
-    some, voxels = np.zeros(top.shape, np.bool_), top.shape[1] * len(z)
-    for_each_range(_along_y, len(top), 0.8 * voxels, filled, table, weights, across, some)
-    for_each_range(_along_x, len(top), 1.2 * voxels, across, some, weights, density)
-    return density
+    levels, reached, row, rows = _rows(top, z, len(weights) // 2)
+    across, filled = np.empty((rows, len(z)), np.float32), np.empty((rows, len(z)), np.float32)
+    inside, voxels = np.empty(rows, np.int64), top.shape[1] * len(z)
+    filled[0], inside[0] = 0.0, 0
+    for_each_range(_along_y, len(top), 0.4 * voxels, levels, table, weights, reached, row, across)
+    for_each_range(_along_x, len(top), 0.6 * voxels, across, reached, row, weights, filled, inside)
+    return Volume(row, filled, inside)
 
 
 @lru_cache(maxsize=64)
@@ -60,208 +80,214 @@ def _kernels(levels: int, deviation: float, truncate: float) -> tuple[npt.NDArra
     return table, weights
 
 
-def surface_voxels(density: npt.NDArray[np.floating], level: float, first: int) -> npt.NDArray[np.int64]:
-    """(V, 3), rising: the voxels above the level that touch one that is not, or the end of the grid, at a face.
-
-    Args:
-        density: (nx, ny, nz).
-        level: what the surface lies at.
-        first: voxels below this index along z are left out.
-    """
-    nx, ny, nz = density.shape
-    solid, counts = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8), np.zeros(nx + 1, np.int64)
-    surface = np.empty((nx, ny, nz), np.uint8)
-    for_each_range(_mark_solid, nx, 0.5 * ny * nz, density, level, solid)
-    for_each_range(_mark_surface, nx, 1.0 * ny * nz, solid, first, surface, counts)
-    start = np.cumsum(counts)
-    found = np.empty((start[-1], 3), np.int64)
-    for_each_range(_list_marked, nx, 0.3 * ny * nz, surface, start, found)
-    return found
-
-
 def turned_down(
     normals: Array,
-    density: npt.NDArray[np.floating],
+    volume: Volume,
     origin: Array,
     cell: float,
     points: Array,
     height: Array,
     step: float,
 ) -> Array:
-    """Normals (N, 3), made to have length 1 and turned to where the density falls.
+    """Normals (N, 3), made to have length 1 and turned to where less is filled.
 
     Args:
         normals: not 0.
-        density: (nx, ny, nz), interpolated between linearly; outside, it is what it is at the side.
+        volume: interpolated between linearly; outside, it is what it is at the side.
         origin: (3,), the centre of voxel (0, 0, 0): x, y, height [m].
         cell: edge length of a voxel [m].
         points: (N, 3), of which x and y count [m].
         height: (N,) of these points [m].
-        step: it is asked what the density rises by from so far before to so far behind, along each axis [voxels].
+        step: it is asked how much more is filled from so far before to so far behind, along each axis [voxels].
     """
     turned = np.empty((len(points), 3))
-    for_each_range(_turn, len(points), 130, normals, density, origin, cell, points, height, step, turned)
+    for_each_range(
+        _turn, len(points), 130, normals, volume.row, volume.filled, origin, cell, points, height, step, turned
+    )
     return turned
 
 
-def walls(density: npt.NDArray[np.floating], index: npt.NDArray[np.int64], level: float, least: float) -> Walls:
-    """Where the surface that the density crosses the level at is, near voxels (V, 3), and which way it faces.
+def walls(volume: Volume, first: int, least: float, origin: Array, cell: float, normal: Array, offset: float) -> Walls:
+    """The volume's surface, where voxels are half filled: one point for each voxel inside that touches, at a face, one
+    that is not or the end of the grid; columns go on below it.
 
     Args:
-        density: (nx, ny, nz).
-        index: (V, 3), of voxels.
-        level: of the surface.
-        least: voxels at which the density falls by less than this from one to the next are left out.
+        volume: of nx, ny and nz voxels.
+        first: voxels below this index along z are left out.
+        least: surfaces are clear where the filling falls by more than this from one voxel to the next.
+        origin: (3,), the centre of voxel (0, 0, 0): x, y, height above a plane [m].
+        cell: edge length of a voxel [m].
+        normal: (3,) of the plane, the third number positive.
+        offset: of the plane [m].
     """
-    points, normals = np.empty((len(index), 3)), np.empty((len(index), 3))
-    kept = _walls(density, index, level, least, points, normals)
-    return Walls(points[:kept], normals[:kept])
+    start = _starts(volume.row, volume.inside, first)
+    count = int(start[-1])
+    found = Walls(np.empty((count, 3)), np.empty((count, 3)), np.empty(count, np.bool_))
+    for_each_range(
+        _walls, len(start) - 1, 35 * count / len(start), *volume, first, least, origin, cell, normal, offset, start,
+        *found,
+    )  # fmt: skip
+    return found
 
 
 @compiled
-def _value_at(density, x, y, z):  # type: ignore[no-untyped-def]
-    """Linear between the centres of the voxels."""
-    nx, ny, nz = density.shape
-    x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
-    i, j, k = int(x), int(y), int(z)
-    u, v, w = x - i, y - j, z - k
-    i1, j1, k1 = min(i + 1, nx - 1), min(j + 1, ny - 1), min(k + 1, nz - 1)
-    near = (density[i, j, k] * (1 - w) + density[i, j, k1] * w) * (1 - v) + (
-        density[i, j1, k] * (1 - w) + density[i, j1, k1] * w
-    ) * v
-    far = (density[i1, j, k] * (1 - w) + density[i1, j, k1] * w) * (1 - v) + (
-        density[i1, j1, k] * (1 - w) + density[i1, j1, k1] * w
-    ) * v
-    return near * (1 - u) + far * u
-
-
-@compiled
-def _turn(begin, end, normals, density, origin, cell, points, height, step, turned):  # type: ignore[no-untyped-def]
-    for p in range(begin, end):
-        x, y = (points[p, 0] - origin[0]) / cell, (points[p, 1] - origin[1]) / cell
-        z = (height[p] - origin[2]) / cell
-        a, b, c = normals[p, 0], normals[p, 1], normals[p, 2]
-        rise = a * (_value_at(density, x + step, y, z) - _value_at(density, x - step, y, z))
-        rise += b * (_value_at(density, x, y + step, z) - _value_at(density, x, y - step, z))
-        rise += c * (_value_at(density, x, y, z + step) - _value_at(density, x, y, z - step))
-        length = np.sqrt(a * a + b * b + c * c)
-        length = -length if rise > 0.0 else length
-        turned[p, 0], turned[p, 1], turned[p, 2] = a / length, b / length, c / length
-
-
-@compiled
-def _levels(top, z, filled):  # type: ignore[no-untyped-def]
-    """How many levels lie below the top of each column, which is filled above 0."""
+def _rows(top, z, reach):  # type: ignore[no-untyped-def]
+    """Of each column: up to which level it is filled, whether there is a filled one within reach along y, and which row
+    it has; and how many rows there are."""
+    nx, ny = top.shape
+    levels, reached = np.zeros((nx, ny), np.int32), np.zeros((nx, ny), np.uint8)
+    row = np.zeros((nx, ny), np.int32)
     step = z[1] - z[0] if len(z) > 1 else 1.0
-    for i in range(top.shape[0]):
-        for j in range(top.shape[1]):
-            level, height = 0, top[i, j]
+    some = np.zeros(ny, np.uint8)
+    for i in range(nx):
+        own = levels[i]
+        for j in range(ny):
+            height = top[i, j]
             if height > 0.0:
                 level = min(max(int((height - z[0]) / step), 0), len(z))
                 while level < len(z) and z[level] < height:
                     level += 1
                 while level > 0 and z[level - 1] >= height:
                     level -= 1
-            filled[i, j] = level
+                own[j] = level
+            some[j] = own[j] > 0
+        near = reached[i]
+        for k in range(-reach, reach + 1):
+            others = some[max(k, 0) : max(min(ny + k, ny), 0)]
+            at = near[max(-k, 0) : max(min(ny - k, ny), 0)]
+            for j in range(len(at)):
+                at[j] |= others[j]
+    count = 1
+    for i in range(nx):
+        some[:] = 0
+        for k in range(max(i - reach, 0), min(i + reach + 1, nx)):
+            for j in range(ny):
+                some[j] |= reached[k, j]
+        for j in range(ny):
+            row[i, j] = count if some[j] else 0
+            count += some[j]
+    return levels, reached, row, count
 
 
 @compiled
-def _walls(density, index, level, least, points, normals):  # type: ignore[no-untyped-def]
-    nx, ny, nz = density.shape
-    n = 0
-    for v in range(len(index)):
-        x, y, z = index[v, 0], index[v, 1], index[v, 2]
-        # Half the difference of the two neighbours; on the border, of those next to it.
-        i, j, k = min(max(x, 1), nx - 2), min(max(y, 1), ny - 2), min(max(z, 1), nz - 2)
-        gx = 0.5 * np.float64(density[i + 1, j, k] - density[i - 1, j, k])
-        gy = 0.5 * np.float64(density[i, j + 1, k] - density[i, j - 1, k])
-        gz = 0.5 * np.float64(density[i, j, k + 1] - density[i, j, k - 1])
-        slope = np.sqrt(gx * gx + gy * gy + gz * gz)
-        if not slope > least:
-            continue
-        normals[n, 0], normals[n, 1], normals[n, 2] = -gx / slope, -gy / slope, -gz / slope
-        # To first order the surface lies where the density has fallen to the level.
-        out = min(max((np.float64(density[x, y, z]) - level) / slope, 0.0), 1.0)
-        points[n, 0], points[n, 1], points[n, 2] = x, y, z
-        for a in range(3):
-            points[n, a] += normals[n, a] * out
-        n += 1
-    return n
-
-
-@compiled
-def _along_y(begin, end, filled, table, weights, across, some):  # type: ignore[no-untyped-def]
-    reach, ny = len(weights) // 2, filled.shape[1]
+def _along_y(begin, end, levels, table, weights, reached, row, across):  # type: ignore[no-untyped-def]
+    reach, ny, nz = len(weights) // 2, levels.shape[1], across.shape[1]
+    sums, columns = across.ctypes.data, table.ctypes.data
     for x in range(begin, end):
         for y in range(ny):
-            row = across[x, y]
-            row[:] = 0.0
+            if not reached[x, y]:
+                continue
+            own = row[x, y]
+            across[own] = 0.0
             for k in range(-reach, reach + 1):
-                level = filled[x, min(max(y + k, 0), ny - 1)]
+                level = levels[x, min(max(y + k, 0), ny - 1)]
                 if level > 0:
-                    some[x, y] = True
-                    weight, column = weights[k + reach], table[level]
-                    for z in range(len(row)):
-                        row[z] += weight * column[z]
+                    for z in range(0, 4 * nz, 4 * TOGETHER):
+                        add_scaled(sums + own * 4 * nz + z, columns + level * 4 * nz + z, weights[k + reach])
 
 
 @compiled
-def _along_x(begin, end, across, some, weights, density):  # type: ignore[no-untyped-def]
-    reach, nx = len(weights) // 2, len(across)
+def _along_x(begin, end, across, reached, row, weights, filled, inside):  # type: ignore[no-untyped-def]
+    reach, nx, nz = len(weights) // 2, len(row), filled.shape[1]
+    sums, given, n = filled.ctypes.data, across.ctypes.data, 0
     for x in range(begin, end):
-        for y in range(across.shape[1]):
-            row = density[x, y]
-            row[:] = 0.0
+        for y in range(row.shape[1]):
+            own = row[x, y]
+            if own == 0:
+                continue
+            filled[own] = 0.0
             for k in range(-reach, reach + 1):
                 other = min(max(x + k, 0), nx - 1)
-                if some[other, y]:
-                    weight, column = weights[k + reach], across[other, y]
-                    for z in range(len(row)):
-                        row[z] += weight * column[z]
+                if reached[other, y]:
+                    beside = row[other, y]
+                    for z in range(0, 4 * nz, 4 * TOGETHER):
+                        add_scaled(sums + own * 4 * nz + z, given + beside * 4 * nz + z, weights[k + reach])
+            # All that is summed up falls along z, and rounding keeps that.
+            while n > 0 and filled[own, n - 1] <= _HALF:
+                n -= 1
+            while n < nz and filled[own, n] > _HALF:
+                n += 1
+            inside[own] = n
+
+
+@inlined
+def _lowest_wall(row, inside, x, y, first):  # type: ignore[no-untyped-def]
+    """The column's first voxel at the surface; the others are those above it that are inside."""
+    nx, ny = row.shape
+    lowest = inside[row[x, y]] - 1
+    lowest = min(lowest, inside[row[x - 1, y]] if x > 0 else 0)
+    lowest = min(lowest, inside[row[x + 1, y]] if x + 1 < nx else 0)
+    lowest = min(lowest, inside[row[x, y - 1]] if y > 0 else 0)
+    lowest = min(lowest, inside[row[x, y + 1]] if y + 1 < ny else 0)
+    return max(lowest, first)
 
 
 @compiled
-def _mark_solid(begin, end, density, level, solid):  # type: ignore[no-untyped-def]
-    """Which voxels are above the level, with a border of those that are not."""
-    for x in range(begin, end):
-        for y in range(density.shape[1]):
-            row, marked = density[x, y], solid[x + 1, y + 1, 1:-1]
-            for z in range(len(row)):
-                marked[z] = row[z] > level
-
-
-@compiled
-def _mark_surface(begin, end, solid, first, surface, counts):  # type: ignore[no-untyped-def]
-    """In bytes, of which a register holds many."""
-    for x in range(begin, end):
+def _starts(row, inside, first):  # type: ignore[no-untyped-def]
+    """Of each x: how many voxels at the surface come before -> (nx + 1,)."""
+    start = np.zeros(len(row) + 1, np.int64)
+    for x in range(len(row)):
         n = 0
-        for y in range(surface.shape[1]):
-            row, marked = solid[x + 1, y + 1], surface[x, y]
-            left, right, near, far = solid[x, y + 1], solid[x + 2, y + 1], solid[x + 1, y], solid[x + 1, y + 2]
-            for z in range(len(marked)):
-                inside = left[z + 1] & right[z + 1] & near[z + 1] & far[z + 1] & row[z] & row[z + 2]
-                marked[z] = row[z + 1] & (inside ^ np.uint8(1))
-            marked[:first] = 0
-            own = 0
-            for z in range(len(marked)):
-                own += marked[z]
-            n += own
-        counts[x + 1] = n
+        for y in range(row.shape[1]):
+            if row[x, y] > 0:
+                n += max(inside[row[x, y]] - _lowest_wall(row, inside, x, y, first), 0)
+        start[x + 1] = start[x] + n
+    return start
 
 
 @compiled
-def _list_marked(begin, end, surface, start, found):  # type: ignore[no-untyped-def]
+def _walls(begin, end, row, filled, inside, first, least, origin, cell, normal, offset, start, points, normals, clear):  # type: ignore[no-untyped-def]
+    (nx, ny), nz = row.shape, filled.shape[1]
     for x in range(begin, end):
         n = start[x]
-        for y in range(surface.shape[1]):
-            if n == start[x + 1]:
-                break
-            marked = surface[x, y]
-            some = np.uint8(0)
-            for z in range(len(marked)):
-                some |= marked[z]
-            if some:
-                for z in range(len(marked)):
-                    if marked[z]:
-                        found[n, 0], found[n, 1], found[n, 2] = x, y, z
-                        n += 1
+        for y in range(ny):
+            if row[x, y] == 0:
+                continue
+            # Half the difference of the two neighbours; on the border, of those next to it.
+            i, j = min(max(x, 1), nx - 2), min(max(y, 1), ny - 2)
+            left, right, near, far = row[i - 1, j], row[i + 1, j], row[i, j - 1], row[i, j + 1]
+            middle, own = row[i, j], row[x, y]
+            for z in range(_lowest_wall(row, inside, x, y, first), inside[own]):
+                k = min(max(z, 1), nz - 2)
+                gx = 0.5 * np.float64(filled[right, k] - filled[left, k])
+                gy = 0.5 * np.float64(filled[far, k] - filled[near, k])
+                gz = 0.5 * np.float64(filled[middle, k + 1] - filled[middle, k - 1])
+                slope = np.sqrt(gx * gx + gy * gy + gz * gz)
+                clear[n] = slope > least
+                a, b, c = -gx / slope, -gy / slope, -gz / slope
+                # To first order the surface lies where the filling has fallen to a half.
+                out = min(max((np.float64(filled[own, z]) - _HALF) / slope, 0.0), 1.0)
+                px, py = origin[0] + (x + a * out) * cell, origin[1] + (y + b * out) * cell
+                height = origin[2] + (z + c * out) * cell
+                normals[n, 0], normals[n, 1], normals[n, 2] = a, b, c
+                points[n, 0], points[n, 1] = px, py
+                points[n, 2] = (offset + height - normal[0] * px - normal[1] * py) / normal[2]
+                n += 1
+
+
+@compiled
+def _value_at(row, filled, x, y, z):  # type: ignore[no-untyped-def]
+    """Linear between the centres of the voxels."""
+    (nx, ny), nz = row.shape, filled.shape[1]
+    x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
+    i, j, k = int(x), int(y), int(z)
+    u, v, w = x - i, y - j, z - k
+    i1, j1, k1 = min(i + 1, nx - 1), min(j + 1, ny - 1), min(k + 1, nz - 1)
+    a, b, c, d = row[i, j], row[i, j1], row[i1, j], row[i1, j1]
+    near = (filled[a, k] * (1 - w) + filled[a, k1] * w) * (1 - v) + (filled[b, k] * (1 - w) + filled[b, k1] * w) * v
+    far = (filled[c, k] * (1 - w) + filled[c, k1] * w) * (1 - v) + (filled[d, k] * (1 - w) + filled[d, k1] * w) * v
+    return near * (1 - u) + far * u
+
+
+@compiled
+def _turn(begin, end, normals, row, filled, origin, cell, points, height, step, turned):  # type: ignore[no-untyped-def]
+    for p in range(begin, end):
+        x, y = (points[p, 0] - origin[0]) / cell, (points[p, 1] - origin[1]) / cell
+        z = (height[p] - origin[2]) / cell
+        a, b, c = normals[p, 0], normals[p, 1], normals[p, 2]
+        rise = a * (_value_at(row, filled, x + step, y, z) - _value_at(row, filled, x - step, y, z))
+        rise += b * (_value_at(row, filled, x, y + step, z) - _value_at(row, filled, x, y - step, z))
+        rise += c * (_value_at(row, filled, x, y, z + step) - _value_at(row, filled, x, y, z - step))
+        length = np.sqrt(a * a + b * b + c * c)
+        length = -length if rise > 0.0 else length
+        turned[p, 0], turned[p, 1], turned[p, 2] = a / length, b / length, c / length

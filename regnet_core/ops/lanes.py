@@ -1,4 +1,4 @@
-"""Questions asked of 32 points or of 16 boxes at a time, with a bit of the answer for each.
+"""Questions asked of 32 points or of 16 boxes at a time, with a bit of the answer for each; and sums of 16 numbers.
 
 numba has no vectors, but lets functions be written as LLVM's intermediate code, which has them for every processor;
 they become part of the loops that call them. Numbers are float32, and are rounded as one by one: nothing is fused.
@@ -153,6 +153,12 @@ def _equal(lanes: _Lanes, address: Any, given: list[Any]) -> Any:
     return lanes.bits(lanes.build.fcmp_ordered("==", lanes.row(address, 0), given[0]))
 
 
+def _add_scaled(lanes: _Lanes, sums: Any, values: Any, given: list[Any]) -> Any:
+    total = lanes.build.fadd(lanes.row(sums, 0), lanes.build.fmul(given[0], lanes.row(values, 0)))
+    lanes.build.store(total, lanes.build.inttoptr(sums, lanes.floats.as_pointer()), align=4)
+    return _INT64(0)
+
+
 @_written
 def in_ball(context, points, x, y, z, squared):  # type: ignore[no-untyped-def]
     """Which points are within a distance, of which the square is given, of x, y, z."""
@@ -213,6 +219,12 @@ def boxes_with(context, values, value):  # type: ignore[no-untyped-def]
 def points_with(context, values, value):  # type: ignore[no-untyped-def]
     """Which of 32 numbers are this one."""
     return _asking(POINTS, 1, _equal)
+
+
+@_written
+def add_scaled(context, sums, values, weight):  # type: ignore[no-untyped-def]
+    """Add 16 numbers, times a weight, to those at the first address -> 0."""
+    return _asking(BOXES, 1, _add_scaled, addresses=2)
 
 
 @_written

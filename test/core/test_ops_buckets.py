@@ -85,6 +85,19 @@ def _ball(points, x, y, z, squared):  # type: ignore[no-untyped-def]
 
 
 @njit
+def _add(sums, values, weight):  # type: ignore[no-untyped-def]
+    return lanes.add_scaled(sums.ctypes.data, values.ctypes.data, weight)
+
+
+def test_sums_are_rounded_as_one_by_one() -> None:
+    sums, values = RNG.normal(size=(2, 20)).astype(np.float32)
+    expected = sums.copy()
+    expected[:16] += np.float32(0.3) * values[:16]
+    assert _add(sums, values, np.float32(0.3)) == 0
+    np.testing.assert_array_equal(sums, expected)
+
+
+@njit
 def _turned(points, boxes, axes, middle, half):  # type: ignore[no-untyped-def]
     given = (
         axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1], axes[1, 2], axes[2, 0], axes[2, 1], axes[2, 2],

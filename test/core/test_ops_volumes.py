@@ -10,7 +10,7 @@ from regnet_core.clusters import cluster
 from regnet_core.ops import cell_map
 from regnet_core.ops.cell_map import CellMap
 from regnet_core.ops.cells import cells_below, cells_with_points, highest, seen_from_above
-from regnet_core.ops.columns import smoothed_columns, surface_voxels, turned_down, walls
+from regnet_core.ops.columns import Volume, smoothed_columns, turned_down, walls
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.nearby import kth_distance, near_any
 from regnet_core.ops.neighbourhoods import newly_marked
@@ -29,29 +29,57 @@ def _heights() -> np.ndarray:
     return top
 
 
-Z = (np.arange(-4, 30) + 0.5) * 0.005
+Z = (np.arange(-4, 28) + 0.5) * 0.005
+
+
+def _dense(volume: Volume) -> np.ndarray:
+    return volume.filled[volume.row]
 
 
 def test_columns_are_smoothed_as_by_scipy() -> None:
     top = _heights()
     occupied = (top[:, :, None] > Z) & (top[:, :, None] > 0.0)
     expected = ndimage.gaussian_filter(occupied.astype(np.float32), 1.2, truncate=2.5)
-    np.testing.assert_allclose(smoothed_columns(top, Z, 1.2, 2.5), expected, atol=1e-6)
-    assert not smoothed_columns(np.zeros((9, 8)), Z, 1.2, 2.5).any()
+    volume = smoothed_columns(top, Z, 1.2, 2.5)
+    np.testing.assert_allclose(_dense(volume), expected, atol=1e-6)
+    # Only what is near is kept, every column in a row of its own.
+    near = expected.any(axis=2)
+    assert (volume.row > 0).sum() == len(volume.filled) - 1 < near.size / 2 and (volume.row > 0)[near].all()
+    np.testing.assert_array_equal(volume.inside[volume.row], (_dense(volume) > 0.5).sum(axis=2))
+    nothing = smoothed_columns(np.zeros((9, 8)), Z, 1.2, 2.5)
+    assert not nothing.row.any() and not nothing.filled.any() and nothing.filled.shape == (1, len(Z))
+    with pytest.raises(ValueError, match="multiple of 16, got 31"):
+        smoothed_columns(top, Z[:31], 1.2, 2.5)
 
 
 @pytest.mark.parametrize("first", [0, 4, 20])
-def test_surface_is_what_an_erosion_takes_away(first: int) -> None:
-    density = RNG.random((12, 9, 24)).astype(np.float32)
-    density[3:9, 2:7, 3:20] = 0.9
-    inside = density > 0.3
-    border = np.argwhere(inside & ~ndimage.binary_erosion(inside))
-    np.testing.assert_array_equal(surface_voxels(density, 0.3, first), border[border[:, 2] >= first])
+def test_walls_are_where_an_erosion_and_the_gradient_say(first: int) -> None:
+    volume = smoothed_columns(_heights(), Z, 1.2, 2.5)
+    origin, cell, normal, offset = np.array([0.3, -0.2, Z[0]]), 0.005, np.array([0.0, 0.6, 0.8]), 0.5
+    found = walls(volume, first, 0.05, origin, cell, normal, offset)
+    dense = _dense(volume).astype(np.float64)
+    inside = dense > 0.5
+    # The columns go on below the grid.
+    eroded = ndimage.binary_erosion(np.concatenate([inside[:, :, :1], inside], axis=2))[:, :, 1:]
+    index = np.argwhere(inside & ~eroded)
+    index = index[index[:, 2] >= first]
+    assert len(found.points) == len(index) > 200
+    slope = np.stack(np.gradient(dense), axis=-1)[tuple(index.T)]
+    # At the grid's end the gradient is that of the voxel before it.
+    assert (index[:, 2] < len(Z) - 1).all() and (index[:, :2] > 0).all()
+    steep, middle = np.linalg.norm(slope, axis=1), index[:, 2] > 0
+    np.testing.assert_array_equal(found.clear[middle], steep[middle] > 0.05)
+    np.testing.assert_allclose(found.normals[middle], (-slope / steep[:, None])[middle], atol=1e-6)
+    out = np.clip((dense[tuple(index.T)] - 0.5) / steep, 0.0, 1.0)[:, None]
+    at = origin + cell * (index + out * -slope / steep[:, None])
+    at[:, 2] = (at[:, 2] + offset - 0.6 * at[:, 1]) / 0.8
+    np.testing.assert_allclose(found.points[middle], at[middle], atol=1e-8)
 
 
-def test_surface_of_a_full_and_of_an_empty_volume() -> None:
-    assert len(surface_voxels(np.ones((5, 4, 6)), 0.5, 0)) == 5 * 4 * 6 - 3 * 2 * 4
-    assert surface_voxels(np.zeros((5, 4, 6)), 0.5, 0).shape == (0, 3)
+def test_an_empty_volume_has_no_walls() -> None:
+    volume = smoothed_columns(np.zeros((9, 8)), Z, 1.2, 2.5)
+    found = walls(volume, 0, 0.05, np.zeros(3), 1.0, np.array([0.0, 0.0, 1.0]), 0.0)
+    assert found.points.shape == found.normals.shape == (0, 3) and found.clear.shape == (0,)
 
 
 @pytest.mark.parametrize("radius", [0.004, 0.03])
@@ -98,7 +126,7 @@ def test_normals_of_planes_lines_and_single_points(flat: float) -> None:
     np.testing.assert_allclose(np.abs(local.normal @ vectors[:, 0]), 1.0, atol=1e-9)
     line = np.outer(np.linspace(0.0, 0.01, 9), turn[0])
     along = local_planes(line, 0.1)
-    np.testing.assert_allclose(along.normal @ turn[0], 0.0, atol=1e-7)
+    np.testing.assert_allclose(along.normal @ turn[0], 0.0, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(along.normal, axis=1), 1.0, atol=1e-12)
     alone = local_planes(line[:1], 0.1)
     np.testing.assert_allclose(np.linalg.norm(alone.normal, axis=1), 1.0, atol=1e-12)
@@ -132,6 +160,10 @@ def test_cells_that_hang_together() -> None:
 
 def test_normals_are_turned_to_where_the_density_falls() -> None:
     density = RNG.random((7, 6, 8)).astype(np.float32)
+    rows = np.arange(1, 43, dtype=np.int32).reshape(7, 6)
+    volume = Volume(
+        rows, np.concatenate([np.zeros((1, 8), np.float32), density.reshape(42, 8)]), np.zeros(43, np.int64)
+    )
     where = RNG.uniform(-2.0, 9.0, (400, 3))  # some outside
     origin, cell = np.array([0.3, -0.2, 0.1]), 0.005
     points, normals = origin + cell * where, RNG.normal(size=(400, 3))
@@ -145,7 +177,7 @@ def test_normals_are_turned_to_where_the_density_falls() -> None:
         slopes.append(ahead - behind)
     rise = np.sum(normals * np.transpose(slopes), axis=1)
     expected = normals * np.where(rise > 0, -1, 1)[:, None] / np.linalg.norm(normals, axis=1)[:, None]
-    turned = turned_down(normals, density, origin, cell, points, height, 1.5)
+    turned = turned_down(normals, volume, origin, cell, points, height, 1.5)
     clear = np.abs(rise) > 1e-5
     assert clear.mean() > 0.7 and 100 < (rise > 1e-5).sum() < 300
     np.testing.assert_allclose(turned[clear], expected[clear], atol=1e-12)
@@ -153,12 +185,20 @@ def test_normals_are_turned_to_where_the_density_falls() -> None:
 
 def test_walls_of_a_ramp_by_hand() -> None:
     # Falls along x by 0.2 from one voxel to the next: 1, 0.8, 0.6, 0.4, ...
-    density = np.broadcast_to((1.0 - 0.2 * np.arange(6))[:, None, None], (6, 4, 4)).astype(np.float32).copy()
-    found = walls(density, np.array([[2, 1, 1], [2, 2, 2], [5, 1, 3]]), 0.5, 0.05)
-    np.testing.assert_allclose(found.normals, [[1.0, 0.0, 0.0]] * 3, atol=1e-6)
-    # 0.1 above the level is half a voxel; what is below it stays where it is.
-    np.testing.assert_allclose(found.points, [[2.5, 1.0, 1.0], [2.5, 2.0, 2.0], [5.0, 1.0, 3.0]], atol=1e-5)
-    assert len(walls(density, np.array([[2, 1, 1]]), 0.5, 0.3).points) == 0
+    filled = np.repeat(np.maximum(1.0 - 0.2 * np.arange(6.0), 0.0), 5)[:, None].astype(np.float32)
+    filled = np.concatenate([np.zeros((1, 16), np.float32), np.tile(filled, 16)])
+    inside = np.where(filled[:, 0] > 0.5, 16, 0)
+    volume = Volume(np.arange(1, 31, dtype=np.int32).reshape(6, 5), filled, inside)
+    level = (np.array([0.0, 0.0, 1.0]), 0.0)
+    found = walls(volume, 2, 0.05, np.zeros(3), 1.0, *level)
+    # Inside are the columns with x of 0 to 2. All voxels are at the surface of those that are on the grid's border or
+    # touch columns with x of 3, and the uppermost one of the other three.
+    assert len(found.points) == 12 * 14 + 3
+    np.testing.assert_allclose(found.normals, np.tile([1.0, 0.0, 0.0], (len(found.normals), 1)), atol=1e-6)
+    # 0.1 above the level is half a voxel, 0.3 would be more than a whole one.
+    at = found.points[(found.points[:, 1] == 2) & (found.points[:, 0] > 2.0)]
+    np.testing.assert_allclose(at, [[2.5, 2.0, z] for z in range(2, 16)], atol=1e-5)
+    assert found.clear.all() and not walls(volume, 2, 0.3, np.zeros(3), 1.0, *level).clear.any()
 
 
 def test_cells_of_points() -> None:
@@ -175,7 +215,12 @@ def test_cells_of_points() -> None:
     )
     np.maximum.at(top, (index[:, 0], index[:, 1]), points[:, 2])
     assert marked.sum() == len(np.unique(index, axis=0)) and marked[index[:, 0], index[:, 1]].all()
-    np.testing.assert_array_equal(highest(points, points[:, 2], low, 0.3, (40, 40)), top)
+    np.testing.assert_array_equal(highest(points, points[:, 2], low, 0.3, (40, 40), 0), top)
+    filled = ndimage.grey_closing(top, (5, 5), mode="constant", cval=0.0)
+    inner = (slice(4, -4), slice(4, -4))
+    closed_too = highest(points, points[:, 2], low, 0.3, (40, 40), 2)
+    np.testing.assert_array_equal(closed_too[inner], np.where(top > 0.0, top, filled)[inner])
+    assert (closed_too > 0.0).sum() > (top > 0.0).sum()
 
 
 @pytest.mark.parametrize("usual", [0.01, 0.3, 5.0])
