@@ -152,7 +152,7 @@ class GraspDetector:
             with recorder.step(name) as step:
                 ok = accepts(grasps)
                 step.kept, step.rejected = int(ok.sum()), int((~ok).sum())
-                grasps = grasps[ok]
+                grasps = grasps if ok.all() else grasps[ok]
         with recorder.step("ranking") as step:
             ranked = grasps.ranked()[: self.config.max_grasps]
             step.kept, step.rejected = len(ranked), len(grasps) - len(ranked)

@@ -36,17 +36,7 @@ def build_grid(points: Array, cell: float) -> VoxelGrid:
     if len(points) == 0:
         points = np.zeros((0, 3))
         return VoxelGrid(points, np.zeros(0, np.int64), np.zeros(2, np.int64), np.zeros(3), np.ones(3, np.int64), cell)
-    points = np.ascontiguousarray(points)
-    origin, upper = bounds(points)
-    extent = upper - origin
-    shape = np.floor(extent / cell).astype(np.int64) + 1
-    while float(np.prod(shape.astype(float))) > _MAX_CELLS:
-        cell *= 1.5
-        shape = np.floor(extent / cell).astype(np.int64) + 1
-    ordered, order = np.empty_like(points), np.empty(len(points), np.int64)
-    start = np.zeros(int(np.prod(shape)) + 1, np.int64)
-    _sort(points, origin, shape, cell, start, ordered, order)
-    return VoxelGrid(ordered, order, start, origin, shape, float(cell))
+    return VoxelGrid(*_sorted(np.ascontiguousarray(points), float(cell), _MAX_CELLS))
 
 
 _TOGETHER = 16
@@ -81,8 +71,20 @@ def bounds_loop(points):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sort(points, origin, shape, cell, start, ordered, order):  # type: ignore[no-untyped-def]
+def _sorted(points, cell, most):  # type: ignore[no-untyped-def]
     """A counting sort: points of one cell keep their order."""
+    origin, upper = bounds_loop(points)
+    shape = np.empty(3, np.int64)
+    while True:
+        cells = 1.0
+        for a in range(3):
+            shape[a] = np.int64((upper[a] - origin[a]) / cell) + 1
+            cells *= shape[a]
+        if cells <= most:
+            break
+        cell *= 1.5
+    ordered, order = np.empty_like(points), np.empty(len(points), np.int64)
+    start = np.zeros(np.int64(cells) + 1, np.int64)
     keys = np.empty(len(points), np.int32)
     for p in range(len(points)):
         key = 0
@@ -99,6 +101,7 @@ def _sort(points, origin, shape, cell, start, ordered, order):  # type: ignore[n
         order[place] = p
         for a in range(3):
             ordered[place, a] = points[p, a]
+    return ordered, order, start, origin, shape, cell
 
 
 @inlined
