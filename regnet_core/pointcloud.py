@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from regnet_core.errors import CloudError
 from regnet_core.geometry import Array, Box
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
 from regnet_core.ops.rows import MovedRows, chosen_rows, moved_rows, rows_in_box, valid_rows
@@ -208,21 +209,18 @@ def random_sample(count: int, size: int, rng: np.random.Generator) -> Index:
     return chosen_rows(count, size, rng)
 
 
-def neighbourhood_radius(
-    points: Array, rng: np.random.Generator, neighbours: int = 25, low: float = 0.008, high: float = 0.02
-) -> float:
+def neighbourhood_radius(points: CornerBuckets, neighbours: int = 25, low: float = 0.008, high: float = 0.02) -> float:
     """The radius [m] that holds about ``neighbours`` points of the cloud, between ``low`` and ``high``."""
-    if len(points) <= neighbours:
+    if points.buckets.number <= neighbours:
         return high
-    probes = points[random_sample(len(points), _PROBES, rng)]
-    distance = kth_distance(points, probes, neighbours, max(low, 0.2 * high), 2.0 * high)
+    distance = kth_distance(points.buckets, _PROBES, neighbours, max(low, 0.3 * high), 2.0 * high)
     distance.sort()
     middle = 0.5 * (distance[(len(distance) - 1) // 2] + distance[len(distance) // 2])
     return float(min(max(middle, low), high))
 
 
-def estimate_normals(points: Array, radius: float) -> LocalPlanes:
-    """Local planes of points (N, 3) among themselves; normals have an arbitrary sign (``orient_normals``)."""
+def estimate_normals(points: CornerBuckets, radius: float) -> LocalPlanes:
+    """Local planes of points among themselves; normals have an arbitrary sign (``orient_normals``)."""
     return local_planes(points, radius)
 
 

@@ -18,6 +18,7 @@ from regnet_core.completion import Columns, HiddenSurface, SolidModel, columns_o
 from regnet_core.errors import InvalidInputError
 from regnet_core.geometry import Array, Box, Mask, Plane, normalised
 from regnet_core.later import Later
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import flattened
 from regnet_core.ops.rows import taken
 from regnet_core.ops.slabs import layers
@@ -188,7 +189,7 @@ def prepare_scene(
         step.kept, step.rejected = len(cloud), len(usable.rows) - len(cloud)
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
-        found = _find_surface(cloud, source, plane, config, rng, recorder.warnings)
+        found = _find_surface(cloud, source, plane, config, recorder.warnings)
         columns = _columns(found, plane, config, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
     completion = _completion(found, columns, viewpoint, plane is not None and config.complete_hidden)
@@ -209,7 +210,6 @@ def _find_surface(
     source: Index,
     plane: Plane | None,
     config: SceneConfig,
-    rng: np.random.Generator,
     warnings: list[str],
 ) -> _Found:
     base = plane or _lowest_level(cloud)
@@ -224,13 +224,14 @@ def _find_surface(
     if len(wall) > 0:
         points, above, height = points[~in_the_way], above[~in_the_way], height[~in_the_way]
     source = source[above]
-    radius = neighbourhood_radius(points, rng, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
+    in_buckets = CornerBuckets.of(points)
+    radius = neighbourhood_radius(in_buckets, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
     if radius > 1.5 * _MAX_RADIUS and len(points) > 0:
         warnings.append(
             "the cloud is sparse: fewer than 25 points within 3 cm on the objects, so obstacles may be missed; crop it "
             "to the workspace before sampling it down"
         )
-    local = estimate_normals(points, min(radius, _MAX_RADIUS))
+    local = estimate_normals(in_buckets, min(radius, _MAX_RADIUS))
     keep = np.flatnonzero(local.neighbours >= config.outlier_neighbours)
     flat = flattened(points, local, keep)
     return _Found(flat, taken(local.normal, keep), source[keep], height[keep], base, wall, seen.ground)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from regnet_core.ops.compiled import compiled, inlined
 from regnet_core.ops.lanes import BOXES, POINTS, boxes_near_box, lowest_bit, near_box
-from regnet_core.ops.voxel_grid import bounds
+from regnet_core.ops.voxel_grid import bounds_loop
 
 if TYPE_CHECKING:
     import torch
@@ -52,27 +52,44 @@ def in_buckets(points: npt.NDArray[np.float32]) -> Buckets:
     made = Buckets(
         np.empty((number, 3, SIZE), np.float32),
         np.empty((number, SIZE), np.int32),
-        _nowhere(groups),
-        _nowhere(-(-groups // GROUP)),
+        np.empty((groups, 6, GROUP), np.float32),
+        np.empty((-(-groups // GROUP), 6, GROUP), np.float32),
         count,
     )
     if count:
-        points = np.ascontiguousarray(points)
-        lower, upper = bounds(points)
-        extent = max(float((upper - lower).max()), 1e-6)
-        _fill(points, _along_the_curve(points, lower, np.float32((1 << _BITS) / extent)), made)
+        _fill(np.ascontiguousarray(points), made)
     return made
 
 
-def _nowhere(count: int) -> npt.NDArray[np.float32]:
-    boxes = np.full((count, 6, GROUP), np.inf, np.float32)
-    boxes[:, 3:] = -np.inf
-    return boxes
+class CornerBuckets(NamedTuple):
+    """Points in buckets as they are seen from the lower corner of their bounding box: float32 loses little of that."""
+
+    buckets: Buckets
+    corner: npt.NDArray[np.float64]
+    """(3,) [m]."""
+
+    @classmethod
+    def of(cls, points: npt.NDArray[np.floating]) -> CornerBuckets:
+        """Of finite points (N, 3) [m]."""
+        if len(points) == 0:
+            return cls(in_buckets(np.zeros((0, 3), np.float32)), np.zeros(3))
+        moved, corner = _from_corner(np.ascontiguousarray(points))
+        return cls(in_buckets(moved), corner)
 
 
 def point_buckets(points: torch.Tensor) -> Buckets | None:
     """Buckets for several searches of the same points (N, 3) on a CPU; None elsewhere, where none uses them."""
     return in_buckets(points.detach().float().numpy()) if points.device.type == "cpu" else None
+
+
+@compiled
+def _from_corner(points):  # type: ignore[no-untyped-def]
+    """The points as seen from the lower corner of their bounding box, and that corner."""
+    corner, moved = bounds_loop(points)[0].astype(np.float64), np.empty(points.shape, np.float32)
+    for p in range(len(points)):
+        for a in range(3):
+            moved[p, a] = points[p, a] - corner[a]
+    return moved, corner
 
 
 @compiled
@@ -106,7 +123,12 @@ def _along_the_curve(points, origin, scale):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fill(points, order, made):  # type: ignore[no-untyped-def]
+def _fill(points, made):  # type: ignore[no-untyped-def]
+    lower, upper = bounds_loop(points)
+    extent = max((upper - lower).max(), np.float32(1e-6))
+    order = _along_the_curve(points, lower, np.float32((1 << _BITS) / extent))
+    for boxes in (made.boxes, made.groups):  # nowhere
+        boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
     last = len(order) - 1
     for b in range(len(made.rows)):
         g, place = b // GROUP, b % GROUP

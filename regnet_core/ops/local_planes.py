@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
-from regnet_core.ops.buckets import SIZE, Buckets, in_buckets, near_bucket
+from regnet_core.ops.buckets import SIZE, Buckets, CornerBuckets, near_bucket
 from regnet_core.ops.compiled import compiled, compiled_with_any_order, inlined
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import bounds
 
 _SWEEPS = 4
 """Of Jacobi's rotations: afterwards float32 has no digit left that would change."""
@@ -34,12 +33,12 @@ class LocalPlanes(NamedTuple):
     """(N,): number of neighbours, the point itself included."""
 
 
-def local_planes(points: Array, radius: float) -> LocalPlanes:
-    """Fit a plane to the points (N, 3) within ``radius`` of each of them [m]."""
-    count = len(points)
-    made = LocalPlanes(np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.int64))
-    buckets, origin = _from_their_corner(points)
-    for_each_range(_planes, len(buckets.rows), 8500, buckets, origin, np.float32(radius), *made)
+def local_planes(points: CornerBuckets, radius: float) -> LocalPlanes:
+    """Fit a plane to the points within ``radius`` of each of N points [m]."""
+    buckets, corner = points
+    count = buckets.number
+    made = LocalPlanes(np.empty((count, 3)), np.empty((count, 3)), np.empty(count, np.int64))
+    for_each_range(_planes, len(buckets.rows), 8500, buckets, corner, np.float32(radius), *made)
     return made
 
 
@@ -61,15 +60,6 @@ def relative_covariances(buckets: Buckets, radius: float, least: float) -> npt.N
     made = np.empty((buckets.number, 3, 3), np.float32)
     for_each_range(_relative, len(buckets.rows), 6000, buckets, np.float32(radius), np.float32(least), made)
     return made
-
-
-def _from_their_corner(points: npt.NDArray[np.floating]) -> tuple[Buckets, Array]:
-    """Points in buckets, as seen from the lower corner of their bounding box, so that float32 loses little of where
-    they are; and that corner (3,)."""
-    if len(points) == 0:
-        return in_buckets(np.zeros((0, 3), np.float32)), np.zeros(3)
-    origin = np.asarray(bounds(points)[0], np.float64)
-    return in_buckets((points - origin).astype(np.float32)), origin
 
 
 @compiled

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from regnet_core.geometry import Array
+from regnet_core.ops.buckets import SIZE, Buckets, buckets_near_box
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.parallel import for_each_range
 from regnet_core.ops.voxel_grid import build_grid, cell_range
@@ -25,51 +26,49 @@ def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.boo
     return near
 
 
-def kth_distance(points: Array, queries: Array, k: int, usual: float, most: float) -> Array:
-    """(Q,): how far the k-th nearest of the points (N, 3) is from each query (Q, 3) [m].
+def kth_distance(points: Buckets, probes: int, k: int, usual: float, most: float) -> npt.NDArray[np.float32]:
+    """(Q,): how far the k-th nearest of N points is from each of some of them, evenly along the buckets' curve [m].
 
     Args:
-        points: (N, 3) [m].
-        queries: (Q, 3) [m].
-        k: which, from 1; a query that is one of the points counts.
-        usual: a distance that is about right [m].
+        points: N of them [m].
+        probes: Q, but no more than N.
+        k: which, from 1, where the point itself counts.
+        usual: a distance that is a little too large, as a rule [m].
         most: what is farther is infinitely far [m].
     """
-    distance = np.full(len(queries), np.inf)
-    grid = build_grid(np.asarray(points, np.float64), usual)
-    at = np.ascontiguousarray(queries, np.float64)
-
-    places = (grid.points, grid.start, grid.origin, grid.shape, grid.cell)
-    for_each_range(_kth, len(at), 3700, at, k, usual, most, *places, distance)
+    distance = np.empty(min(probes, points.number), np.float32)
+    for_each_range(_kth, len(distance), 3000, points, k, min(usual, most), most, distance)
     return distance
 
 
 @compiled
-def _kth(begin, end, queries, k, usual, most, points, starts, origin, shape, cell, distance):  # type: ignore[no-untyped-def]
-    nearest = np.empty(k)
+def _kth(begin, end, buckets, k, usual, most, distance):  # type: ignore[no-untyped-def]
+    found, nearest = np.empty(len(buckets.rows), np.int64), np.empty(k, np.float32)
+    squares = np.empty((len(buckets.rows), SIZE), np.float32)
     for q in range(begin, end):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        radius = min(usual, most)
+        own = buckets.number * q // len(distance)
+        b, i = own // SIZE, own % SIZE
+        x, y, z = buckets.points[b, 0, i], buckets.points[b, 1, i], buckets.points[b, 2, i]
+        radius, distance[q] = usual, np.inf
         while True:
+            reach = np.float32(radius * radius)
+            there = buckets_near_box(buckets, x, y, z, x, y, z, reach, found)
             nearest[:] = np.inf
-            i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
-            j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
-            k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
-            if k1 >= k0:
-                for i in range(i0, i1 + 1):
-                    for j in range(j0, j1 + 1):
-                        row = (i * shape[1] + j) * shape[2]
-                        for p in range(starts[row + k0], starts[row + k1 + 1]):
-                            dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                            squared = dx * dx + dy * dy + dz * dz
-                            if squared < nearest[k - 1]:
-                                place = k - 1
-                                while place > 0 and nearest[place - 1] > squared:
-                                    nearest[place] = nearest[place - 1]
-                                    place -= 1
-                                nearest[place] = squared
-            # Cells reach farther than the ball: what they hold counts only up to its surface.
-            if nearest[k - 1] <= radius * radius:
+            for n in range(there):
+                c = found[n]
+                for j in range(SIZE):
+                    dx, dy, dz = buckets.points[c, 0, j] - x, buckets.points[c, 1, j] - y, buckets.points[c, 2, j] - z
+                    squares[n, j] = dx * dx + dy * dy + dz * dz
+                for j in range(min(SIZE, buckets.number - c * SIZE)):
+                    squared = squares[n, j]
+                    if squared < nearest[k - 1]:
+                        place = k - 1
+                        while place > 0 and nearest[place - 1] > squared:
+                            nearest[place] = nearest[place - 1]
+                            place -= 1
+                        nearest[place] = squared
+            # Buckets reach farther than the ball: what they hold counts only up to its surface.
+            if nearest[k - 1] <= reach:
                 distance[q] = np.sqrt(nearest[k - 1])
                 break
             if radius >= most:

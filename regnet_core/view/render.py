@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from regnet_core.geometry import Array, normalised
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.pointcloud import estimate_normals, orient_normals
 from regnet_core.view.camera import Camera, clearest_azimuth, framing_camera
 from regnet_core.view.meshes import Mesh, approach_arrow, fork_mesh, gripper_mesh, joined
@@ -162,7 +163,7 @@ def _draw_cloud(view: View, camera: Camera, light: Array) -> Layer:
     if len(points) == 0:
         return Layer.empty(camera.size)
     colors = height_colors(points, scene.plane) if scene.colors is None else np.float32(scene.colors) / 255.0
-    normals = orient_normals(estimate_normals(points, 0.010).normal, camera.position - points)
+    normals = orient_normals(estimate_normals(CornerBuckets.of(points), 0.010).normal, camera.position - points)
     brightness = lit(normals, light) / float(lit(np.array([[0.0, 0.0, 1.0]]), light)[0])
     dark = shadow_of(joined([*_forks(scene, view.ranks), _selected_mesh(scene)]), points, light)
     shaded = colors * (brightness * (1.0 - 0.28 * dark))[:, None].astype(np.float32)

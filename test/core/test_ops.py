@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from regnet_core import Grasps, Gripper
 from regnet_core.collision import SceneCollision
 from regnet_core.ops import compiled, parallel
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.jaw_profile import JawProfile, jaw_profile
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops.team import Team
@@ -27,7 +28,7 @@ CENTRES = RNG.uniform(-0.2, 0.2, (3000, 3))
 def every_kernel() -> list[np.ndarray]:
     grid = build_grid(POINTS, 0.012)
     profile = jaw_profile(ROTATION, CENTRES, Gripper(), grid, NORMALS[grid.order], np.arange(6000) % 2 == 0)
-    planes = local_planes(POINTS, 0.012)
+    planes = local_planes(CornerBuckets.of(POINTS), 0.012)
     grasps = Grasps.from_poses(ROTATION, CENTRES, np.full(3000, 0.05), np.ones(3000))
     return [*profile, *planes, *SceneCollision(POINTS, None).occupancy(grasps, Gripper())]
 
@@ -105,11 +106,12 @@ def test_a_forked_process_can_go_on_working() -> None:
 import os, signal
 import numpy as np
 from regnet_core.ops import parallel
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import local_planes
 parallel._cores_of_the_process = lambda: 2
 points = np.random.default_rng(0).random((5000, 3))
 def work():
-    return int(local_planes(points, 0.1).neighbours.sum())
+    return int(local_planes(CornerBuckets.of(points), 0.1).neighbours.sum())
 before = work()
 child = os.fork()
 if child == 0:
@@ -128,9 +130,10 @@ cache = getattr(caching, "CacheImpl", None) or caching._CacheImpl
 cache._locator_classes = []
 import numpy as np
 import regnet_core
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import local_planes
 points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [0.1, 0.1, 0.0]
-print(np.abs(local_planes(points, 0.05).normal[:, 2]).min() > 0.999)
+print(np.abs(local_planes(CornerBuckets.of(points), 0.05).normal[:, 2]).min() > 0.999)
 """
     result = finished(script)
     assert (result.stdout, result.stderr) == ("True\n", "")
@@ -145,7 +148,7 @@ def test_an_error_in_the_function_itself_is_not_hidden() -> None:
 
 
 def test_local_planes_equal_those_of_each_neighbourhood() -> None:
-    result = local_planes(POINTS, 0.02)
+    result = local_planes(CornerBuckets.of(POINTS), 0.02)
     for i, query in enumerate(POINTS[:300]):
         near = POINTS[np.linalg.norm(POINTS - query, axis=1) <= 0.02]
         assert result.neighbours[i] == len(near)

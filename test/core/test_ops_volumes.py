@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from regnet_core.clusters import cluster
 from regnet_core.ops import cell_map
+from regnet_core.ops.buckets import CornerBuckets, in_buckets
 from regnet_core.ops.cell_map import CellMap
 from regnet_core.ops.cells import cells_below, cells_with_points, highest, seen_from_above
 from regnet_core.ops.columns import Volume, smoothed_columns, turned_down, walls
@@ -121,14 +122,14 @@ def test_more_voxels_than_can_be_numbered() -> None:
 def test_normals_of_planes_lines_and_single_points(flat: float) -> None:
     turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     sheet = RNG.uniform(-0.01, 0.01, (60, 3)) * [1.0, 1.0, flat] @ turn.T
-    local = local_planes(sheet, 0.1)
+    local = local_planes(CornerBuckets.of(sheet), 0.1)
     _, vectors = np.linalg.eigh(np.cov(sheet.T, bias=True))
     np.testing.assert_allclose(np.abs(local.normal @ vectors[:, 0]), 1.0, atol=1e-9)
     line = np.outer(np.linspace(0.0, 0.01, 9), turn[0])
-    along = local_planes(line, 0.1)
+    along = local_planes(CornerBuckets.of(line), 0.1)
     np.testing.assert_allclose(along.normal @ turn[0], 0.0, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(along.normal, axis=1), 1.0, atol=1e-12)
-    alone = local_planes(line[:1], 0.1)
+    alone = local_planes(CornerBuckets.of(line[:1]), 0.1)
     np.testing.assert_allclose(np.linalg.norm(alone.normal, axis=1), 1.0, atol=1e-12)
 
 
@@ -224,14 +225,18 @@ def test_cells_of_points() -> None:
 
 
 @pytest.mark.parametrize("usual", [0.01, 0.3, 5.0])
-def test_distance_of_the_kth_nearest(usual: float) -> None:
-    points = RNG.random((800, 3))
-    queries = np.concatenate([points[:50], RNG.uniform(-0.5, 1.5, (50, 3))])
-    expected = cKDTree(points).query(queries, k=[6])[0][:, 0]
-    np.testing.assert_allclose(
-        kth_distance(points, queries, 6, usual, 0.25), np.where(expected <= 0.25, expected, np.inf), rtol=1e-12
-    )
-    assert np.isinf(kth_distance(points[:5], queries, 6, usual, 9.0)).all()
+@pytest.mark.parametrize("count", [5, 40, 801])
+def test_distance_of_the_kth_nearest(count: int, usual: float) -> None:
+    points = RNG.random((count, 3)).astype(np.float32)
+    buckets = in_buckets(points)
+    own = points[buckets.rows.reshape(-1)[np.arange(min(50, count)) * count // min(50, count)]]
+    found = kth_distance(buckets, 50, 6, usual, 0.25)
+    if count == 5:
+        assert found.shape == (5,) and np.isinf(found).all()
+        return
+    expected = cKDTree(points).query(own, k=[6])[0][:, 0]
+    assert (expected > 0.25).any() == (count == 40)
+    np.testing.assert_allclose(found, np.where(expected <= 0.25, expected, np.inf), rtol=1e-5)
 
 
 def test_corners_of_a_hull_are_among_the_candidates() -> None:

@@ -6,6 +6,7 @@ import shapes
 
 from regnet_core import Box, CloudError
 from regnet_core.geometry import pose_matrix, transform_points
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.pointcloud import (
     colors_as_floats,
     crop,
@@ -114,14 +115,14 @@ def test_points_are_drawn_evenly_from_all_that_are_usable(most: int) -> None:
 
 def test_normals_of_a_sphere_are_radial() -> None:
     ball = shapes.sphere(0.05)
-    local = estimate_normals(ball.points, 0.012)
+    local = estimate_normals(CornerBuckets.of(ball.points), 0.012)
     normals = orient_normals(local.normal, ball.points - [0, 0, shapes.TABLE + 0.05])
     assert np.sum(normals * ball.normals, axis=1).min() > 0.99
 
 
 def test_neighbourhood_radius_holds_the_wanted_number() -> None:
     points = np.random.default_rng(0).uniform(0, 0.2, (8000, 3)) * [1, 1, 0]
-    radius = neighbourhood_radius(points, np.random.default_rng(1), neighbours=25, low=0.0, high=1.0)
+    radius = neighbourhood_radius(CornerBuckets.of(points), neighbours=25, low=0.0, high=1.0)
     assert radius == pytest.approx(np.sqrt(25 / (np.pi * 8000 / 0.04)), rel=0.1)
 
 

@@ -111,10 +111,11 @@ def test_an_ended_team_leaves_no_threads() -> None:
 def test_a_program_ends_while_members_look_out_for_work() -> None:
     script = """
 import numpy as np
+from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import local_planes
 from regnet_core.ops import parallel
 parallel.available_cores = lambda: 3
-local_planes(np.random.default_rng(0).random((5000, 3)), 0.1)
+local_planes(CornerBuckets.of(np.random.default_rng(0).random((5000, 3))), 0.1)
 assert parallel._idle
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", script], capture_output=True, text=True, timeout=120)
