@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from regnet_core.geometry import Array, Mask
 from regnet_core.ops.compiled import compiled, inlined
-from regnet_core.ops.lanes import add_scaled
+from regnet_core.ops.lanes import weighted_sum
 from regnet_core.ops.parallel import for_each_range
 
 TOGETHER = 16
@@ -171,37 +171,42 @@ def _rows(top, z, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def _along_y(begin, end, levels, table, weights, reached, row, across):  # type: ignore[no-untyped-def]
-    reach, ny, nz = len(weights) // 2, levels.shape[1], across.shape[1]
-    sums, columns = across.ctypes.data, table.ctypes.data
+    reach, ny, each = len(weights) // 2, levels.shape[1], 4 * across.shape[1]
+    places, shares = np.empty(len(weights), np.int64), np.empty(len(weights), np.float32)
+    sums, given, listed, scales = across.ctypes.data, table.ctypes.data, places.ctypes.data, shares.ctypes.data
     for x in range(begin, end):
         for y in range(ny):
             if not reached[x, y]:
                 continue
-            own = row[x, y]
-            across[own] = 0.0
+            n = 0
             for k in range(-reach, reach + 1):
                 level = levels[x, min(max(y + k, 0), ny - 1)]
                 if level > 0:
-                    for z in range(0, 4 * nz, 4 * TOGETHER):
-                        add_scaled(sums + own * 4 * nz + z, columns + level * 4 * nz + z, weights[k + reach])
+                    places[n], shares[n] = given + level * each, weights[k + reach]
+                    n += 1
+            for z in range(0, each, 4 * TOGETHER):
+                weighted_sum(sums + row[x, y] * each + z, listed, z, scales, n)
 
 
 @compiled
 def _along_x(begin, end, across, reached, row, weights, filled, inside):  # type: ignore[no-untyped-def]
     reach, nx, nz = len(weights) // 2, len(row), filled.shape[1]
-    sums, given, n = filled.ctypes.data, across.ctypes.data, 0
+    each, n = 4 * nz, 0
+    places, shares = np.empty(len(weights), np.int64), np.empty(len(weights), np.float32)
+    sums, given, listed, scales = filled.ctypes.data, across.ctypes.data, places.ctypes.data, shares.ctypes.data
     for x in range(begin, end):
         for y in range(row.shape[1]):
             own = row[x, y]
             if own == 0:
                 continue
-            filled[own] = 0.0
+            m = 0
             for k in range(-reach, reach + 1):
                 other = min(max(x + k, 0), nx - 1)
                 if reached[other, y]:
-                    beside = row[other, y]
-                    for z in range(0, 4 * nz, 4 * TOGETHER):
-                        add_scaled(sums + own * 4 * nz + z, given + beside * 4 * nz + z, weights[k + reach])
+                    places[m], shares[m] = given + row[other, y] * each, weights[k + reach]
+                    m += 1
+            for z in range(0, each, 4 * TOGETHER):
+                weighted_sum(sums + own * each + z, listed, z, scales, m)
             # All that is summed up falls along z, and rounding keeps that.
             while n > 0 and filled[own, n - 1] <= _HALF:
                 n -= 1

@@ -14,6 +14,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 POINTS, BOXES = 32, 16
@@ -85,6 +86,14 @@ def _in_ball(lanes: _Lanes, address: Any, given: list[Any]) -> Any:
     return lanes.bits(lanes.build.fcmp_ordered("<=", lanes.dot(offsets, offsets), given[3]))
 
 
+def _in_ball_apart(lanes: _Lanes, address: Any, apart: Any, given: list[Any]) -> Any:
+    rows, build = [address], lanes.build
+    for _ in range(2):
+        rows.append(build.add(rows[-1], apart))
+    offsets = [build.fsub(lanes.row(row, 0), given[a]) for a, row in enumerate(rows)]
+    return lanes.bits(build.fcmp_ordered("<=", lanes.dot(offsets, offsets), given[3]))
+
+
 def _gaps(lanes: _Lanes, given: list[Any], lower: list[Any], upper: list[Any]) -> Any:
     """Squared distances between boxes or points and a box."""
     zero, gaps = ir.Constant(lanes.floats, [0.0] * lanes.count), []
@@ -153,16 +162,17 @@ def _equal(lanes: _Lanes, address: Any, given: list[Any]) -> Any:
     return lanes.bits(lanes.build.fcmp_ordered("==", lanes.row(address, 0), given[0]))
 
 
-def _add_scaled(lanes: _Lanes, sums: Any, values: Any, given: list[Any]) -> Any:
-    total = lanes.build.fadd(lanes.row(sums, 0), lanes.build.fmul(given[0], lanes.row(values, 0)))
-    lanes.build.store(total, lanes.build.inttoptr(sums, lanes.floats.as_pointer()), align=4)
-    return _INT64(0)
-
-
 @_written
 def in_ball(context, points, x, y, z, squared):  # type: ignore[no-untyped-def]
     """Which points are within a distance, of which the square is given, of x, y, z."""
     return _asking(POINTS, 4, _in_ball)
+
+
+@_written
+def in_ball_apart(context, points, apart, x, y, z, squared):  # type: ignore[no-untyped-def]
+    """Which of 16 points are within a distance, of which the square is given, of x, y, z; their y are so many bytes
+    behind their x, and their z as many behind their y."""
+    return _asking(BOXES, 4, _in_ball_apart, addresses=2)
 
 
 @_written
@@ -222,9 +232,27 @@ def points_with(context, values, value):  # type: ignore[no-untyped-def]
 
 
 @_written
-def add_scaled(context, sums, values, weight):  # type: ignore[no-untyped-def]
-    """Add 16 numbers, times a weight, to those at the first address -> 0."""
-    return _asking(BOXES, 1, _add_scaled, addresses=2)
+def weighted_sum(context, target, rows, offset, weights, count):  # type: ignore[no-untyped-def]
+    """Write 16 sums to the first address: over so many rows of 16 numbers, times their weights, from the first to the
+    last.
+
+    ``rows`` is the address of their addresses (int64), to each of which the offset is added, ``weights`` that of the
+    weights (float32).
+    """
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        target, rows, offset, weights, count = arguments
+        lanes = _Lanes(builder, BOXES)
+        sums = cgutils.alloca_once_value(builder, ir.Constant(lanes.floats, [0.0] * BOXES))
+        with cgutils.for_range(builder, count) as loop:
+            place = builder.load(builder.gep(builder.inttoptr(rows, _INT64.as_pointer()), [loop.index]))
+            weight = builder.load(builder.gep(builder.inttoptr(weights, _FLOAT.as_pointer()), [loop.index]))
+            product = builder.fmul(lanes.all(weight), lanes.row(builder.add(place, offset), 0))
+            builder.store(builder.fadd(builder.load(sums), product), sums)
+        builder.store(builder.load(sums), builder.inttoptr(target, lanes.floats.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(*(types.int64,) * 5), generate
 
 
 @_written

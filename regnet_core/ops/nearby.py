@@ -8,21 +8,28 @@ import numpy.typing as npt
 from regnet_core.geometry import Array
 from regnet_core.ops.buckets import SIZE, Buckets, buckets_near_box
 from regnet_core.ops.compiled import compiled
+from regnet_core.ops.lanes import BOXES, in_ball_apart
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import build_grid, cell_range
+from regnet_core.ops.voxel_grid import bounds_loop, cell_range
 
-_SMALLEST = 0.012
-"""Edge length of the grid's cells at least [m]: smaller ones take more time to make than they save."""
+_CELL = 0.012
+"""Edge length of the cells that points are sorted into, at least [m]: smaller ones take more time than they save."""
+_MAX_CELLS = 1_000_000
+"""Clouds so wide that they would need more get larger ones."""
+_FAR = np.float32(1e18)
+"""Nothing is near this, and its square is a number [m]."""
 
 
 def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.bool_]:
-    """(Q,): whether any of the points (N, 3) is within the radius of each query (Q, 3) [m]."""
-    near = np.zeros(len(queries), np.bool_)
-    grid = build_grid(np.asarray(points, np.float64), max(radius, _SMALLEST))
-    at = np.ascontiguousarray(queries, np.float64)
+    """(Q,): whether any of the points (N, 3) is within the radius of each query (Q, 3) [m].
 
-    places = (grid.points, grid.start, grid.origin, grid.shape, grid.cell)
-    for_each_range(_search, len(at), 35, at, radius, *places, near)
+    Distances are computed in float32, from the lower corner of the points' bounding box.
+    """
+    near = np.zeros(len(queries), np.bool_)
+    if len(points) > 0:
+        given, at = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64)
+        columns = _in_columns(given, max(radius, _CELL), _MAX_CELLS)
+        for_each_range(_search, len(at), 25, at, radius, *columns, near)
     return near
 
 
@@ -77,21 +84,53 @@ def _kth(begin, end, buckets, k, usual, most, distance):  # type: ignore[no-unty
 
 
 @compiled
-def _search(begin, end, queries, radius, points, starts, origin, shape, cell, near):  # type: ignore[no-untyped-def]
+def _in_columns(points, cell, most):  # type: ignore[no-untyped-def]
+    """Points sorted by the horizontal cell that they are in, by x and then y.
+
+    Returns:
+        Their x, y and z as seen from the lower corner (3, N + ``BOXES``), with far ones at the end; where each cell's
+        points begin (nx, ny + 1); that corner; and the edge length of a cell.
+    """
+    low, high = bounds_loop(points)
+    while True:
+        nx, ny = np.int64((high[0] - low[0]) / cell) + 1, np.int64((high[1] - low[1]) / cell) + 1
+        if np.float64(nx) * np.float64(ny) <= most:
+            break
+        cell *= 1.5
+    keys, free = np.empty(len(points), np.int32), np.zeros(nx * ny + 1, np.int32)
+    for p in range(len(points)):
+        keys[p] = np.int64((points[p, 0] - low[0]) / cell) * ny + np.int64((points[p, 1] - low[1]) / cell)
+        free[keys[p] + 1] += 1
+    start, before = np.empty((nx, ny + 1), np.int32), 0
+    for i in range(nx):
+        start[i, 0] = before
+        for j in range(ny):
+            here = free[i * ny + j + 1]
+            free[i * ny + j] = before
+            before += here
+            start[i, j + 1] = before
+    at = np.empty((3, len(points) + BOXES), np.float32)
+    at[:, len(points) :] = _FAR
+    for p in range(len(points)):
+        place = free[keys[p]]
+        free[keys[p]] += 1
+        for a in range(3):
+            at[a, place] = points[p, a] - low[a]
+    return at, start, low, cell
+
+
+@compiled
+def _search(begin, end, queries, radius, at, start, low, cell, near):  # type: ignore[no-untyped-def]
+    nx, ny = start.shape[0], start.shape[1] - 1
+    squared, address, apart = np.float32(radius * radius), at.ctypes.data, 4 * at.shape[1]
     for q in range(begin, end):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        i0, i1 = cell_range(x - radius, x + radius, origin[0], cell, shape[0])
-        j0, j1 = cell_range(y - radius, y + radius, origin[1], cell, shape[1])
-        k0, k1 = cell_range(z - radius, z + radius, origin[2], cell, shape[2])
-        found = False
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                if found or k1 < k0:
-                    break
-                row = (i * shape[1] + j) * shape[2]
-                for p in range(starts[row + k0], starts[row + k1 + 1]):
-                    dx, dy, dz = points[p, 0] - x, points[p, 1] - y, points[p, 2] - z
-                    if dx * dx + dy * dy + dz * dz <= radius * radius:
-                        found = True
-                        break
-        near[q] = found
+        x, y, z = queries[q, 0] - low[0], queries[q, 1] - low[1], queries[q, 2] - low[2]
+        i0, i1 = cell_range(x - radius, x + radius, 0.0, cell, nx)
+        j0, j1 = cell_range(y - radius, y + radius, 0.0, cell, ny)
+        found = 0
+        if j0 <= j1:
+            for i in range(i0, i1 + 1):
+                # Who is looked at too much, from the cells behind, is near or is not, like the others.
+                for p in range(start[i, j0], start[i, j1 + 1], BOXES):
+                    found |= in_ball_apart(address + 4 * p, apart, np.float32(x), np.float32(y), np.float32(z), squared)
+        near[q] = found != 0

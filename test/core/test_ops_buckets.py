@@ -85,16 +85,35 @@ def _ball(points, x, y, z, squared):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _add(sums, values, weight):  # type: ignore[no-untyped-def]
-    return lanes.add_scaled(sums.ctypes.data, values.ctypes.data, weight)
+def _sum(sums, values, chosen, weights):  # type: ignore[no-untyped-def]
+    places = np.empty(len(chosen), np.int64)
+    for n in range(len(chosen)):
+        places[n] = values.ctypes.data + 4 * values.shape[1] * chosen[n]
+    lanes.weighted_sum(sums.ctypes.data, places.ctypes.data, 8, weights.ctypes.data, len(chosen))
 
 
-def test_sums_are_rounded_as_one_by_one() -> None:
-    sums, values = RNG.normal(size=(2, 20)).astype(np.float32)
-    expected = sums.copy()
-    expected[:16] += np.float32(0.3) * values[:16]
-    assert _add(sums, values, np.float32(0.3)) == 0
+@pytest.mark.parametrize("chosen", [[], [4], [3, 0, 3, 1]])
+def test_sums_are_rounded_as_one_by_one(chosen: list[int]) -> None:
+    values, weights = RNG.normal(size=(5, 20)).astype(np.float32), RNG.random(len(chosen)).astype(np.float32)
+    sums, expected = np.full(18, 7.0, np.float32), np.full(18, 7.0, np.float32)
+    expected[:16] = 0.0
+    for row, weight in zip(chosen, weights, strict=True):
+        expected[:16] += weight * values[row, 2:18]  # 8 bytes after its start
+    _sum(sums, values, np.array(chosen, np.int64), weights)
     np.testing.assert_array_equal(sums, expected)
+
+
+@njit
+def _ball_apart(points, x, y, z, squared):  # type: ignore[no-untyped-def]
+    return lanes.in_ball_apart(points.ctypes.data + 8, 4 * points.shape[1], x, y, z, squared)
+
+
+def test_points_in_a_ball_whose_coordinates_are_apart() -> None:
+    points = RNG.uniform(-1.0, 1.0, (3, 21)).astype(np.float32)
+    at, squared = RNG.uniform(-0.5, 0.5, 3).astype(np.float32), np.float32(0.6)
+    away = points[:, 2:18] - at[:, None]
+    within = away[0] * away[0] + away[1] * away[1] + away[2] * away[2] <= squared
+    assert _ball_apart(points, *at, squared) == bits(within) and 0 < within.sum() < 16
 
 
 @njit
