@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import as_strided
 
 from regnet_core.geometry import Array
 from regnet_core.ops.compiled import compiled, inlined
@@ -62,20 +63,27 @@ def moved_rows(
         dtype: of the result's points.
     """
     blocks = blocks_of_rows(len(points))
-    counts, there = np.empty((blocks, 2), np.int64), np.empty(len(points), np.int32)
-    limited, turns = bool(np.isfinite(lower).any() or np.isfinite(upper).any()), len(points) / blocks
-    for_each_range(
-        _list, blocks, 2 * turns, points, transform, largest, limited, lower, upper, counts, there
-    )  # fmt: skip
-    valid, inside = (int(number) for number in counts.sum(axis=0))
-    ends = np.cumsum(counts[:, 1])
-    if most is not None and most < inside:
-        ends = ends * most // inside
-    starts = np.append(0, ends)
-    moved, rows = np.empty((ends[-1], 3), dtype), np.empty(ends[-1], np.int64)
-    each = 6 * len(moved) / blocks
-    for_each_range(_put, blocks, each, points, transform, there, counts, starts, np.uint64(seed % 2**64), moved, rows)
+    counts, stays = np.empty((blocks, 2), np.int64), np.empty(len(points), np.uint8)
+    flat, step = _flat(points)
+    turns = len(points) / blocks
+    for_each_range(_mark, blocks, turns, flat, step, transform, largest, lower, upper, counts, stays)
+    valid, inside, starts = _shares(counts, len(points) if most is None else most)
+    moved, rows = np.empty((starts[-1], 3), dtype), np.empty(starts[-1], np.int64)
+    each = turns + 6 * len(moved) / blocks
+    key = np.uint64(seed % 2**64)
+    for_each_range(_put, blocks, each, flat, step, transform, stays, counts, starts, key, moved, rows)
     return MovedRows(moved, rows, valid, inside)
+
+
+def _flat(points: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
+    """The numbers of points (N, 3) in memory, what lies between points included, and from one point to the next."""
+    if points.flags.c_contiguous:
+        return points.reshape(-1), 3
+    size, (across, along) = points.itemsize, points.strides
+    if len(points) > 0 and along == size and across >= 3 * size and across % size == 0 and points.flags.aligned:
+        step = across // size
+        return as_strided(points, ((len(points) - 1) * step + 3,), (size,), writeable=False), step
+    return np.ascontiguousarray(points).reshape(-1), 3
 
 
 def blocks_of_rows(count: int) -> int:
@@ -214,34 +222,68 @@ def within_box(lower, upper, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _list(begin, end, points, transform, largest, limited, lower, upper, counts, there):  # type: ignore[no-untyped-def]
+def _mark(begin, end, flat, step, transform, largest, lower, upper, counts, stays):  # type: ignore[no-untyped-def]
     """Of blocks of points: how many are valid, how many of those are in the box, and which."""
+    limited = False
+    for a in range(3):
+        limited |= lower[a] != -np.inf or upper[a] != np.inf
     for block in range(begin, end):
-        first, last = len(points) * block // len(counts), len(points) * (block + 1) // len(counts)
-        valid, n = 0, first
-        for p in range(first, last):
-            a, b, c = points[p, 0], points[p, 1], points[p, 2]
-            good = (abs(a) <= largest) & (abs(b) <= largest) & (abs(c) <= largest)  # false for NaN
-            valid += good
-            if limited:
-                x, y, z = _place(transform, a, b, c)
-                good &= within_box(lower, upper, x, y, z)
-            # Without a branch that nobody could foresee: written over by the next one where it is none.
-            there[n] = p
-            n += good
-        counts[block, 0], counts[block, 1] = valid, n - first
+        first, last = len(stays) * block // len(counts), len(stays) * (block + 1) // len(counts)
+        given, own = flat[step * first :], stays[first:last]
+        # Where it is known that nothing lies between points, many of them are looked at at a time.
+        valid = _mark_valid(given, 3, largest, own) if step == 3 else _mark_valid(given, step, largest, own)
+        inside = valid
+        if limited:
+            inside = 0
+            for p in range(len(own)):
+                x, y, z = _place(transform, given[step * p], given[step * p + 1], given[step * p + 2])
+                own[p] &= within_box(lower, upper, x, y, z)
+                inside += own[p]
+        counts[block, 0], counts[block, 1] = valid, inside
 
 
 @compiled
-def _put(begin, end, points, transform, there, counts, starts, key, moved, rows):  # type: ignore[no-untyped-def]
+def _shares(counts, most):  # type: ignore[no-untyped-def]
+    """How many points there are, how many of those are in the box, and where those of each block begin among the ones
+    that stay, of which there are at most so many -> (blocks + 1,)."""
+    starts, valid, inside = np.zeros(len(counts) + 1, np.int64), 0, 0
+    for block in range(len(counts)):
+        valid += counts[block, 0]
+        inside += counts[block, 1]
+        starts[block + 1] = inside
+    if most < inside:
+        for block in range(len(starts)):
+            starts[block] = starts[block] * most // inside
+    return valid, inside, starts
+
+
+@inlined
+def _mark_valid(given, step, largest, stays):  # type: ignore[no-untyped-def]
+    valid = 0
+    for p in range(len(stays)):
+        x, y, z = given[step * p], given[step * p + 1], given[step * p + 2]
+        good = (abs(x) <= largest) & (abs(y) <= largest) & (abs(z) <= largest)  # false for NaN
+        stays[p] = good
+        valid += good
+    return valid
+
+
+@compiled
+def _put(begin, end, flat, step, transform, stays, counts, starts, key, moved, rows):  # type: ignore[no-untyped-def]
+    there = np.empty(len(stays) // len(counts) + 2, np.int64)
     for block in range(begin, end):
-        first, start, wanted = len(points) * block // len(counts), starts[block], starts[block + 1] - starts[block]
-        chosen = there[first : first + counts[block, 1]]
-        if wanted < len(chosen):
+        first, last = len(stays) * block // len(counts), len(stays) * (block + 1) // len(counts)
+        start, wanted, n = starts[block], starts[block + 1] - starts[block], 0
+        for p in range(first, last):
+            # Without a branch that nobody could foresee: written over by the next one where it goes.
+            there[n] = p
+            n += stays[p]
+        chosen = there[:n]
+        if wanted < n:
             chosen = _drawn_evenly(chosen, wanted, key + np.uint64(first))
         for i in range(wanted):
             p = chosen[i]
-            x, y, z = _place(transform, points[p, 0], points[p, 1], points[p, 2])
+            x, y, z = _place(transform, flat[step * p], flat[step * p + 1], flat[step * p + 2])
             moved[start + i, 0], moved[start + i, 1], moved[start + i, 2] = x, y, z
             rows[start + i] = p
 
@@ -251,15 +293,21 @@ def _drawn_evenly(given, wanted, key):  # type: ignore[no-untyped-def]
     """``wanted`` of the given numbers, the first of the result: one from each of as many runs of those that stay, or of
     those that go where they are fewer."""
     count = len(given)
-    marked = min(wanted, count - wanted)
-    stays, before = np.full(count, 0 if marked == wanted else 1, np.uint8), -1
-    each = count / max(marked, 1)
+    goes = 2 * wanted > count
+    marked = count - wanted if goes else wanted
+    each, n, before = count / max(marked, 1), 0, -1
+    chosen = np.empty(count if goes else wanted, given.dtype)
     for i in range(marked):
         place = max(min(int((i + _random(key, i)) * each), count - 1), before + 1)
-        stays[place] ^= 1
+        if goes:
+            for other in range(before + 1, place):
+                chosen[n] = given[other]
+                n += 1
+        else:
+            chosen[i] = given[place]
         before = place
-    chosen, n = np.empty(count, given.dtype), 0
-    for i in range(count):
-        chosen[n] = given[i]
-        n += stays[i]
+    if goes:
+        for other in range(before + 1, count):
+            chosen[n] = given[other]
+            n += 1
     return chosen

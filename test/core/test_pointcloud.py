@@ -113,6 +113,21 @@ def test_points_are_drawn_evenly_from_all_that_are_usable(most: int) -> None:
         assert np.diff(inside).max() <= 2 / share + 2
 
 
+def test_it_does_not_matter_how_points_lie_in_memory() -> None:
+    numbers = np.random.default_rng(0).uniform(-1, 1, (3000, 8)).astype(np.float32)
+    numbers[::7, 2] = np.nan
+    packed = np.zeros(3000, np.dtype([("flag", np.uint8), ("xyz", np.float32, 3)]))  # at odd addresses
+    packed["xyz"] = numbers[:, :3]
+    layouts = [numbers[:, 1:4], numbers[::3, :3], numbers[::-1, 5:], numbers[:, 4::-2], numbers.astype(float)[:, 2:5]]
+    for points in (*layouts, np.asfortranarray(numbers[:, :3]), packed["xyz"], numbers[:1, :3], numbers[:0, :3]):
+        for box, most in ((None, None), (Box((-0.5, -1.0, -1.0), (0.7, 1.0, 0.5)), 200)):
+            expected = place_points(points.copy(order="C"), np.eye(4), box, most)
+            found = place_points(points, np.eye(4), box, most)
+            np.testing.assert_array_equal(found.points, expected.points)
+            np.testing.assert_array_equal(found.rows, expected.rows)
+            assert found[2:] == expected[2:]
+
+
 def test_normals_of_a_sphere_are_radial() -> None:
     ball = shapes.sphere(0.05)
     local = estimate_normals(CornerBuckets.of(ball.points), 0.012)
