@@ -65,7 +65,11 @@ CLOUD_STAGES = (
         "sampling",
         "preparation",
         "one point of each voxel, and random draws of those",
-        ("regnet_core.pointcloud:voxel_downsample", "regnet_core.pointcloud:random_sample"),
+        (
+            "regnet_core.pointcloud:voxel_downsample",
+            "regnet_core.pointcloud:random_sample",
+            "regnet_core.ops.voxels:share_kept",
+        ),
     ),
 )
 """What preprocessor and detector both do with a cloud."""

@@ -12,9 +12,9 @@ from regnet_core.geometry import Array, Box
 from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import LocalPlanes, local_planes
 from regnet_core.ops.nearby import kth_distance
-from regnet_core.ops.rows import MovedRows, chosen_rows, moved_rows, rows_in_box, valid_rows
+from regnet_core.ops.rows import MovedRows, Usable, chosen_rows, moved_rows, rows_in_box, usable_points, valid_rows
 from regnet_core.ops.voxel_grid import bounds
-from regnet_core.ops.voxels import Usable, first_in_voxels, usable_points
+from regnet_core.ops.voxels import first_in_voxels
 
 Index = npt.NDArray[np.int64]
 

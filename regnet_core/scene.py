@@ -20,9 +20,11 @@ from regnet_core.geometry import Array, Box, Mask, Plane, normalised
 from regnet_core.later import Later
 from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import flattened
-from regnet_core.ops.rows import taken
+from regnet_core.ops.rows import Usable, taken
 from regnet_core.ops.slabs import layers
+from regnet_core.ops.voxels import share_kept
 from regnet_core.pointcloud import (
+    MAX_COORDINATE,
     Index,
     as_floats,
     colors_as_floats,
@@ -36,6 +38,8 @@ from regnet_core.report import StepRecorder
 from regnet_core.support_plane import fit_support_plane
 from regnet_core.visibility import UnseenGround, unseen_ground
 
+_THIN = 0.95
+"""A cloud is thin already where voxels would keep at least this share of it."""
 _FEWEST_TO_FILL = 10
 """Of fewer points nothing is inferred about hidden sides."""
 _MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
@@ -53,7 +57,8 @@ class SceneConfig:
     workspace: Box | None = None
     """Points outside are ignored altogether [m]."""
     voxel: float = 0.002
-    """Edge length of the voxels that thin the cloud before all else [m]."""
+    """Edge length of the voxels that thin the cloud before all else, where more than one in twenty of its points would
+    go, or it has too many [m]."""
     max_points: int = 300_000
     """The voxels are enlarged until no more points than this are left."""
     plane_clearance: float = 0.007
@@ -120,9 +125,10 @@ class Scene:
     """One cloud, ready for detection."""
 
     points: npt.NDArray[np.floating]
-    """(N, 3): every valid point in the workspace, thinned by voxels, float32 or float64 as the user's array [m]."""
-    source: Index
-    """(N,): their rows in the user's array."""
+    """(N, 3): every valid point in the workspace, thinned by voxels where many share one, float32 or float64 as the
+    user's array [m]."""
+    rows: Index | None
+    """(N,): their rows in the user's array; None: all of it."""
     plane: Plane | None
     """The support plane, if one was found."""
     seen: Array
@@ -133,6 +139,11 @@ class Scene:
     """What is inferred."""
     given_colors: npt.NDArray[Any] | None = field(repr=False)
     """(M, 3): the user's colours, a row for each row of the user's array, or None."""
+
+    @property
+    def source(self) -> Index:
+        """(N,): the points' rows in the user's array."""
+        return np.arange(len(self.points)) if self.rows is None else self.rows
 
     @property
     def objects(self) -> Surface:
@@ -182,22 +193,25 @@ def prepare_scene(
         usable = usable_rows(given, config.workspace)
         step.kept, step.rejected = usable.valid, len(given) - usable.valid
     with recorder.step("points in workspace") as step:
-        step.kept, step.rejected = len(usable.rows), usable.valid - len(usable.rows)
+        step.kept, step.rejected = usable.number, usable.valid - usable.number
     with recorder.step("points after thinning") as step:
-        source = _thinned(given, usable.rows, config)
-        cloud = taken(given, source, given.dtype.type)
-        step.kept, step.rejected = len(cloud), len(usable.rows) - len(cloud)
+        rows = _thinned(given, usable, config)
+        cloud = np.ascontiguousarray(given) if rows is None else taken(given, rows, given.dtype.type)
+        step.kept, step.rejected = len(cloud), usable.number - len(cloud)
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
-        found = _find_surface(cloud, source, plane, config, recorder.warnings)
+        found = _find_surface(cloud, rows, plane, config, recorder.warnings)
         columns = _columns(found, plane, config, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
     completion = _completion(found, columns, viewpoint, plane is not None and config.complete_hidden)
-    return Scene(cloud, source, plane, found.points, found.structure, completion, colors)
+    return Scene(cloud, rows, plane, found.points, found.structure, completion, colors)
 
 
-def _thinned(points: npt.NDArray[Any], rows: Index, config: SceneConfig) -> Index:
-    voxel = config.voxel
+def _thinned(points: npt.NDArray[Any], usable: Usable, config: SceneConfig) -> Index | None:
+    """The rows that stay; None: all of them."""
+    voxel, rows = config.voxel, usable.rows
+    if usable.number <= config.max_points and share_kept(points, rows, voxel, MAX_COORDINATE) >= _THIN:
+        return rows
     kept = voxel_downsample(points, voxel, rows)
     while len(kept) > config.max_points:
         voxel *= 1.3
@@ -207,7 +221,7 @@ def _thinned(points: npt.NDArray[Any], rows: Index, config: SceneConfig) -> Inde
 
 def _find_surface(
     cloud: npt.NDArray[np.floating],
-    source: Index,
+    rows: Index | None,
     plane: Plane | None,
     config: SceneConfig,
     warnings: list[str],
@@ -223,7 +237,7 @@ def _find_surface(
     wall = points[in_the_way]
     if len(wall) > 0:
         points, above, height = points[~in_the_way], above[~in_the_way], height[~in_the_way]
-    source = source[above]
+    source = above if rows is None else rows[above]
     in_buckets = CornerBuckets.of(points)
     radius = neighbourhood_radius(in_buckets, low=_MIN_RADIUS, high=2 * _MAX_RADIUS)
     if radius > 1.5 * _MAX_RADIUS and len(points) > 0:

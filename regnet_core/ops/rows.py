@@ -16,6 +16,7 @@ _HASH = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: its multiples are spread evenly."""
 _FEW = 4
 """Less than one of so many is few."""
+_NOT_MOVED = np.eye(4)
 _UNIT = 2.0**-53
 """Makes a number in [0, 1) of 53 bits."""
 
@@ -24,6 +25,35 @@ def valid_rows(points: npt.NDArray[Any], largest: float) -> npt.NDArray[np.int64
     """Rows of the points (N, 3) whose three coordinates are numbers of at most this size, ascending."""
     rows = np.empty(len(points), np.int64)
     return rows[: _valid(points, largest, rows)]
+
+
+class Usable(NamedTuple):
+    """Which points of a cloud can be used."""
+
+    rows: npt.NDArray[np.int64] | None
+    """(K,), ascending; None: all of them."""
+    valid: int
+    """How many points are valid, wherever they lie."""
+    number: int
+    """K."""
+
+
+def usable_points(points: npt.NDArray[Any], largest: float, lower: Array, upper: Array) -> Usable:
+    """Points whose coordinates are numbers of at most a size, in a box.
+
+    Args:
+        points: (N, 3), in any layout [m].
+        largest: coordinates beyond it are not valid [m].
+        lower: (3,) corner of the box, which counts as inside; infinity has no limit [m].
+        upper: (3,), likewise.
+    """
+    stays, counts = _marked(points, _NOT_MOVED, largest, lower, upper)
+    valid, inside, starts = _shares(counts, len(points))
+    if inside == len(points):
+        return Usable(None, valid, inside)
+    rows, blocks = np.empty(inside, np.int64), len(counts)
+    for_each_range(_list, blocks, len(points) / blocks, stays, starts, rows)
+    return Usable(rows, valid, inside)
 
 
 class MovedRows(NamedTuple):
@@ -62,17 +92,24 @@ def moved_rows(
         seed: of the draw.
         dtype: of the result's points.
     """
+    stays, counts = _marked(points, transform, largest, lower, upper)
+    valid, inside, starts = _shares(counts, len(points) if most is None else most)
+    moved, rows = np.empty((starts[-1], 3), dtype), np.empty(starts[-1], np.int64)
+    (flat, step), blocks, key = _flat(points), len(counts), np.uint64(seed % 2**64)
+    each = (len(points) + 6 * len(moved)) / blocks
+    for_each_range(_put, blocks, each, flat, step, transform, stays, counts, starts, key, moved, rows)
+    return MovedRows(moved, rows, valid, inside)
+
+
+def _marked(
+    points: npt.NDArray[Any], transform: Array, largest: float, lower: Array, upper: Array
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """Which of the points (N, 3) are valid and in the box, and how many of each block are valid, and both."""
     blocks = blocks_of_rows(len(points))
     counts, stays = np.empty((blocks, 2), np.int64), np.empty(len(points), np.uint8)
     flat, step = _flat(points)
-    turns = len(points) / blocks
-    for_each_range(_mark, blocks, turns, flat, step, transform, largest, lower, upper, counts, stays)
-    valid, inside, starts = _shares(counts, len(points) if most is None else most)
-    moved, rows = np.empty((starts[-1], 3), dtype), np.empty(starts[-1], np.int64)
-    each = turns + 6 * len(moved) / blocks
-    key = np.uint64(seed % 2**64)
-    for_each_range(_put, blocks, each, flat, step, transform, stays, counts, starts, key, moved, rows)
-    return MovedRows(moved, rows, valid, inside)
+    for_each_range(_mark, blocks, len(points) / blocks, flat, step, transform, largest, lower, upper, counts, stays)
+    return stays, counts
 
 
 def _flat(points: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
@@ -266,6 +303,19 @@ def _mark_valid(given, step, largest, stays):  # type: ignore[no-untyped-def]
         stays[p] = good
         valid += good
     return valid
+
+
+@compiled
+def _list(begin, end, stays, starts, rows):  # type: ignore[no-untyped-def]
+    blocks = len(starts) - 1
+    for block in range(begin, end):
+        n = starts[block]
+        for p in range(len(stays) * block // blocks, len(stays) * (block + 1) // blocks):
+            if n == starts[block + 1]:
+                break
+            # Without a branch that nobody could foresee: written over by the next one where it goes.
+            rows[n] = p
+            n += stays[p]
 
 
 @compiled

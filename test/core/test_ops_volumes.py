@@ -18,6 +18,7 @@ from regnet_core.ops.neighbourhoods import newly_marked
 from regnet_core.ops.outline import convex_outline, corner_candidates, outside
 from regnet_core.ops.rows import rows_in_box, valid_rows
 from regnet_core.ops.voxel_grid import bounds
+from regnet_core.ops.voxels import share_kept
 from regnet_core.pointcloud import voxel_downsample
 
 RNG = np.random.default_rng(7)
@@ -108,6 +109,22 @@ def test_first_point_of_each_voxel(size: float) -> None:
     expected = some[np.sort(np.unique(np.floor(points[some] / size), axis=0, return_index=True)[1])]
     np.testing.assert_array_equal(voxel_downsample(points, size, some), expected)
     np.testing.assert_array_equal(voxel_downsample(points.astype(np.float32), size, some[:0]), [])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("size", [0.001, 0.01, 0.05, 10.0])
+def test_what_voxels_keep_is_known_from_a_look_at_some_points(size: float, dtype: type) -> None:
+    points = RNG.normal(0.0, 0.1, (20_000, 3)).astype(dtype)
+    points[15_000:17_000] = points[:2000]
+    for rows in (None, np.flatnonzero(RNG.random(20_000) < 0.4)):
+        kept = len(voxel_downsample(points, size, rows)) / (len(points) if rows is None else len(rows))
+        found = share_kept(points, rows, size, 1000.0, probes=2000)
+        assert found == pytest.approx(kept, abs=4.0 * 0.5 / np.sqrt(2000))
+    # Of all points it is exact.
+    every = share_kept(points[:300], None, size, 1000.0, probes=300)
+    assert every == pytest.approx(len(voxel_downsample(points[:300], size)) / 300, abs=1e-12)
+    assert share_kept(points[:0], None, size, 1000.0) == 0.0
+    assert share_kept(points, None, 1e-4, 1000.0) == 0.0  # more voxels than it counts
 
 
 def test_more_voxels_than_can_be_numbered() -> None:

@@ -6,6 +6,7 @@ import shapes
 
 from regnet_core import Box
 from regnet_core.ops import parallel
+from regnet_core.pointcloud import voxel_downsample
 from regnet_core.report import StepRecorder
 from regnet_core.scene import Scene, SceneConfig, prepare_scene
 from regnet_core.visibility import unseen_ground
@@ -87,6 +88,27 @@ def test_the_rows_of_the_users_array_are_kept() -> None:
     rows = scene.objects.source[scene.objects.observed]
     assert np.abs(points[rows] - scene.objects.points[scene.objects.observed]).max() < 0.02
     assert (scene.objects.source[~scene.objects.observed] == -1).all()
+
+
+def test_a_cloud_is_thinned_where_many_points_share_a_voxel_or_there_are_too_many() -> None:
+    points = shapes.single_view(shapes.box(0.06, 0.1, 0.12)).astype(np.float32)
+    single = points[voxel_downsample(points, 0.002)]
+    few_more = np.concatenate([single, single[::50]])
+    scene, recorder = prepare(few_more)
+    assert (
+        len(scene.points) == len(few_more)
+        and {s.name: s.rejected for s in recorder.steps}["points after thinning"] == 0
+    )
+    np.testing.assert_array_equal(scene.source, np.arange(len(few_more)))
+    np.testing.assert_array_equal(few_more[scene.source], scene.points)
+    for crowded in (np.concatenate([single, single[::8]]), np.concatenate([single, single, single])):
+        scene, recorder = prepare(crowded)
+        np.testing.assert_array_equal(scene.points, single)
+        assert {s.name: s.rejected for s in recorder.steps}["points after thinning"] == len(crowded) - len(single)
+    scene, _ = prepare(few_more, max_points=len(few_more) - 1)
+    np.testing.assert_array_equal(scene.points, single)
+    scene, _ = prepare(few_more, max_points=len(single) // 2)
+    assert len(single) // 4 < len(scene.points) <= len(single) // 2
 
 
 def test_the_shadow_of_a_box_is_unseen_ground() -> None:
