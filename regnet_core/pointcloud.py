@@ -51,6 +51,7 @@ def place_points(
     most: int | None = None,
     seed: int = 0,
     dtype: type[np.floating] = np.float64,
+    with_rows: bool = True,
 ) -> MovedRows:
     """What ``validate_points``, ``transform_points`` and ``crop`` do one after another, and a random draw, at once.
 
@@ -61,11 +62,12 @@ def place_points(
         most: how many of those are drawn at random, spread evenly over the rows; None keeps all.
         seed: of the draw.
         dtype: of the points in the target frame.
+        with_rows: whether it is wanted in which rows they were.
 
     Raises:
         CloudError: the array is not numeric or not (M, 3).
     """
-    return moved_rows(as_floats(points), T_target_source, MAX_COORDINATE, *_limits(box), most, seed, dtype)
+    return moved_rows(as_floats(points), T_target_source, MAX_COORDINATE, *_limits(box), most, seed, dtype, with_rows)
 
 
 def usable_rows(points: npt.ArrayLike, box: Box | None = None) -> Usable:

@@ -82,7 +82,9 @@ def preprocess(
     thin, most, recorder = config.voxel_size > 0.0, config.max_points or None, StepRecorder()
     with recorder.step("valid points") as step:  # and, at once, the work of the next steps, but for voxels
         given = as_points(points)
-        placed = place_points(given, matrix, config.workspace, None if thin else most, config.seed, np.float32)
+        placed = place_points(
+            given, matrix, config.workspace, None if thin else most, config.seed, np.float32, colors is not None
+        )
         step.kept, step.rejected = placed.valid, len(given) - placed.valid
     if colors is not None and np.shape(colors) != np.shape(points):
         raise CloudError(f"colors must have shape {np.shape(points)}, one row for each point, got {np.shape(colors)}")
@@ -94,9 +96,9 @@ def preprocess(
             kept = voxel_downsample(left, config.voxel_size)
             if most is not None:
                 kept = kept[random_sample(len(kept), most, np.random.default_rng(config.seed))]
-            left, rows = taken(left, kept, np.float32), rows[kept]
+            left, rows = taken(left, kept, np.float32), None if rows is None else rows[kept]
         step.kept, step.rejected = len(left), placed.inside - len(left)
-    chosen = None if colors is None else np.asarray(colors)[rows]
+    chosen = None if colors is None or rows is None else np.asarray(colors)[rows]
     return Preprocessed(left, chosen, tuple(recorder.steps), _reason(recorder.steps, config))
 
 

@@ -61,8 +61,8 @@ class MovedRows(NamedTuple):
 
     points: npt.NDArray[Any]
     """(K, 3) in the target frame [m]."""
-    rows: npt.NDArray[np.int64]
-    """(K,): the rows that they were in, ascending."""
+    rows: npt.NDArray[np.int64] | None
+    """(K,): the rows that they were in, ascending; None: nobody asked."""
     valid: int
     """How many points there were that are valid, wherever they lie."""
     inside: int
@@ -78,6 +78,7 @@ def moved_rows(
     most: int | None = None,
     seed: int = 0,
     dtype: type[np.floating] = np.float64,
+    with_rows: bool = True,
 ) -> MovedRows:
     """Valid points in another frame, where they lie in a box there.
 
@@ -91,14 +92,15 @@ def moved_rows(
             as many runs of rows); None: all stay.
         seed: of the draw.
         dtype: of the result's points.
+        with_rows: whether the rows are wanted.
     """
     stays, counts = _marked(points, transform, largest, lower, upper)
     valid, inside, starts = _shares(counts, len(points) if most is None else most)
-    moved, rows = np.empty((starts[-1], 3), dtype), np.empty(starts[-1], np.int64)
+    moved, rows = np.empty((starts[-1], 3), dtype), np.empty(starts[-1] if with_rows else 0, np.int64)
     (flat, step), blocks, key = _flat(points), len(counts), np.uint64(seed % 2**64)
     each = (len(points) + 6 * len(moved)) / blocks
     for_each_range(_put, blocks, each, flat, step, transform, stays, counts, starts, key, moved, rows)
-    return MovedRows(moved, rows, valid, inside)
+    return MovedRows(moved, rows if with_rows else None, valid, inside)
 
 
 def _marked(
@@ -335,7 +337,8 @@ def _put(begin, end, flat, step, transform, stays, counts, starts, key, moved, r
             p = chosen[i]
             x, y, z = _place(transform, flat[step * p], flat[step * p + 1], flat[step * p + 2])
             moved[start + i, 0], moved[start + i, 1], moved[start + i, 2] = x, y, z
-            rows[start + i] = p
+        for i in range(wanted if len(rows) > 0 else 0):
+            rows[start + i] = chosen[i]
 
 
 @compiled
