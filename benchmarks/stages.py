@@ -64,7 +64,7 @@ CLOUD_STAGES = (
     Stage(
         "sampling",
         "preparation",
-        "one point of each voxel, and random draws of those",
+        "one point of each voxel, or a look at how many share one, and random draws",
         (
             "regnet_core.pointcloud:voxel_downsample",
             "regnet_core.pointcloud:random_sample",

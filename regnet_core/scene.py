@@ -40,6 +40,8 @@ from regnet_core.visibility import UnseenGround, unseen_ground
 
 _THIN = 0.95
 """A cloud is thin already where voxels would keep at least this share of it."""
+_GROUND = 12_000
+"""So many points of the ground are enough to know how far it reaches."""
 _FEWEST_TO_FILL = 10
 """Of fewer points nothing is inferred about hidden sides."""
 _MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
@@ -105,8 +107,6 @@ class _Found(NamedTuple):
     base: Plane
     """The support plane, or what stands for it."""
     structure: Array
-    ground: npt.NDArray[np.float32]
-    """(P, 2): x and y of what was seen of the support plane; none without one."""
 
 
 class SceneCompletion(NamedTuple):
@@ -203,7 +203,10 @@ def prepare_scene(
         found = _find_surface(cloud, rows, plane, config, recorder.warnings)
         columns = _columns(found, plane, config, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
-    completion = _completion(found, columns, viewpoint, plane is not None and config.complete_hidden)
+    on_plane = None
+    if plane is not None and config.complete_hidden:
+        on_plane = Later(lambda: layers(cloud, np.array(plane.normal), plane.offset, config.plane_clearance).ground)
+    completion = _completion(found, columns, viewpoint, on_plane)
     return Scene(cloud, rows, plane, found.points, found.structure, completion, colors)
 
 
@@ -227,7 +230,8 @@ def _find_surface(
     warnings: list[str],
 ) -> _Found:
     base = plane or _lowest_level(cloud)
-    seen = layers(cloud, np.array(base.normal), base.offset, config.plane_clearance if plane is not None else -np.inf)
+    clearance = config.plane_clearance if plane is not None else -np.inf
+    seen = layers(cloud, np.array(base.normal), base.offset, clearance, _GROUND)
     groups = cluster(seen.points)
     large = np.flatnonzero((groups.size >= config.outlier_neighbours)[groups.label])
     points, above, height = taken(seen.points, large), seen.above[large], seen.height[large]
@@ -248,7 +252,7 @@ def _find_surface(
     local = estimate_normals(in_buckets, min(radius, _MAX_RADIUS))
     keep = np.flatnonzero(local.neighbours >= config.outlier_neighbours)
     flat = flattened(points, local, keep)
-    return _Found(flat, taken(local.normal, keep), source[keep], height[keep], base, wall, seen.ground)
+    return _Found(flat, taken(local.normal, keep), source[keep], height[keep], base, wall)
 
 
 def _columns(found: _Found, plane: Plane | None, config: SceneConfig, warnings: list[str]) -> Columns | None:
@@ -263,12 +267,17 @@ def _columns(found: _Found, plane: Plane | None, config: SceneConfig, warnings: 
     return columns
 
 
-def _completion(found: _Found, columns: Columns | None, viewpoint: Array | None, maps_ground: bool) -> SceneCompletion:
+def _completion(
+    found: _Found,
+    columns: Columns | None,
+    viewpoint: Array | None,
+    on_plane: Later[npt.NDArray[np.float32]] | None,
+) -> SceneCompletion:
     # No part refers to the whole: scenes go when nobody has them any more, without waiting for the garbage collector.
     solid = Later(lambda: None if columns is None else fill_columns(columns))
     hidden = Later(lambda: _hidden(found, solid()))
     objects = Later(lambda: _surface(found, _outward(found, solid(), viewpoint), hidden()))
-    ground = Later(lambda: unseen_ground(found.ground, objects().points) if maps_ground else None)
+    ground = Later(lambda: None if on_plane is None else unseen_ground(on_plane(), objects().points))
     return SceneCompletion(hidden, objects, ground)
 
 

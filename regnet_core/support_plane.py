@@ -9,17 +9,17 @@ import numpy.typing as npt
 
 from regnet_core.geometry import Array, Plane
 from regnet_core.ops.cells import Carried, carried, cells_with_points
-from regnet_core.ops.rows import taken
+from regnet_core.ops.rows import spread_rows, taken
 from regnet_core.ops.slabs import Slabs, fitted_plane, horizontal_planes
 from regnet_core.ops.voxel_grid import bounds
-from regnet_core.pointcloud import random_sample
 
 _CRATE, _TABLE = 0.1, 0.25
 """A level surface of less than the first area [m2] is the top of an object, one of more than the second is none."""
 _CARRIED = 10
 """So many of the sampled points above a plane are something that stands on it."""
 _SAMPLE, _PLENTY = 6000, 1000
-"""So many points are looked at; a plane that so many of these are near is not known better by all the others."""
+"""So many points, evenly spread over the rows, are looked at; a plane that so many of these are near is not known
+better by all the others."""
 _PLANES, _TRIPLES = 4, 400
 """At most so many planes are looked for, each among those through so many triples of points."""
 _FLAT = 0.45
@@ -55,7 +55,7 @@ def fit_support_plane(
     """
     if len(points) < 50:
         return None
-    sample = taken(points, random_sample(len(points), _SAMPLE, rng))
+    sample = taken(points, spread_rows(len(points), min(len(points), _SAMPLE), rng))
     draws = rng.random((_PLANES, _TRIPLES, 3))
     found = horizontal_planes(sample, draws, math.cos(max_tilt), tolerance, min_share, _FLAT)
     chosen = _supporting(found, sample, tolerance)

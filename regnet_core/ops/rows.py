@@ -160,6 +160,11 @@ def chosen_rows(count: int, size: int, rng: np.random.Generator) -> npt.NDArray[
     return rows[:size]
 
 
+def spread_rows(count: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """``size`` of ``count`` rows, ascending: one from each of as many runs of rows (jittered sampling)."""
+    return _spread(count, size, rng.integers(2**64, dtype=np.uint64))  # type: ignore[no-any-return]
+
+
 def taken(
     points: npt.NDArray[Any], rows: npt.NDArray[np.int64], dtype: type[np.floating] = np.float64
 ) -> npt.NDArray[Any]:
@@ -191,6 +196,15 @@ def _random(key, number):  # type: ignore[no-untyped-def]
 def _drawn(key, number, left, still):  # type: ignore[no-untyped-def]
     """Whether one of ``left`` is among those of which ``still`` are wanted, by a random number of its own."""
     return _random(key, number) * left < still
+
+
+@compiled
+def _spread(count, size, key):  # type: ignore[no-untyped-def]
+    rows = np.empty(size, np.int64)
+    for i in range(size):
+        first, after = count * i // size, count * (i + 1) // size
+        rows[i] = first + min(int(_random(key, i) * (after - first)), after - first - 1)
+    return rows
 
 
 @compiled

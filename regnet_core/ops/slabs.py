@@ -86,19 +86,31 @@ class Layers(NamedTuple):
     height: Array
     """(A,): how high above the plane they are [m]."""
     ground: npt.NDArray[np.float32]
-    """(P, 2): x and y of the points on the plane [m]."""
+    """(P, 2): x and y of points on the plane [m]."""
 
 
-def layers(points: npt.NDArray[np.floating], normal: Array, offset: float, clearance: float) -> Layers:
-    """Those of the points (N, 3) that are farther above the plane than ``clearance``, and those that are nearer [m]."""
+def layers(
+    points: npt.NDArray[np.floating], normal: Array, offset: float, clearance: float, ground: int | None = None
+) -> Layers:
+    """What lies farther above a plane than ``clearance``, and what lies nearer.
+
+    Args:
+        points: (N, 3) [m].
+        normal: (3,) of the plane, of length 1.
+        offset: of the plane [m].
+        clearance: [m].
+        ground: about so many points of the nearer ones are enough, evenly spread over the rows; None: all.
+    """
     blocks = blocks_of_rows(len(points))
     counts, each = np.zeros((blocks, 2), np.int64), len(points) / blocks
     plane = (float(normal[0]), float(normal[1]), float(normal[2]), offset)
     for_each_range(_count_layers, blocks, 1.2 * each, points, plane, clearance, counts)
+    every = 1 if ground is None else max(int(counts[:, 1].sum()) // ground, 1)
+    counts[:, 1] = -(-counts[:, 1] // every)
     ends = np.cumsum(counts, axis=0)
     above, on = (int(number) for number in ends[-1])
     found = Layers(np.empty(above, np.int64), np.empty((above, 3)), np.empty(above), np.empty((on, 2), np.float32))
-    for_each_range(_fill_layers, blocks, 2.5 * each, points, plane, clearance, ends - counts, *found)
+    for_each_range(_fill_layers, blocks, 2.5 * each, points, plane, clearance, every, ends - counts, *found)
     return found
 
 
@@ -115,10 +127,10 @@ def _count_layers(begin, end, points, plane, clearance, counts):  # type: ignore
 
 
 @compiled
-def _fill_layers(begin, end, points, plane, clearance, starts, above, higher, heights, ground):  # type: ignore[no-untyped-def]
+def _fill_layers(begin, end, points, plane, clearance, every, starts, above, higher, heights, ground):  # type: ignore[no-untyped-def]
     a, b, c, d = plane
     for block in range(begin, end):
-        n, m = starts[block]
+        (n, m), left = starts[block], 0
         for p in range(len(points) * block // len(starts), len(points) * (block + 1) // len(starts)):
             x, y, z = points[p, 0], points[p, 1], points[p, 2]
             height = a * x + b * y + c * z - d
@@ -127,8 +139,10 @@ def _fill_layers(begin, end, points, plane, clearance, starts, above, higher, he
                 higher[n, 0], higher[n, 1], higher[n, 2] = x, y, z
                 n += 1
             elif height >= -clearance:
-                ground[m, 0], ground[m, 1] = x, y
-                m += 1
+                if left == 0:
+                    ground[m, 0], ground[m, 1], left = x, y, every
+                    m += 1
+                left -= 1
 
 
 @compiled_with_any_order

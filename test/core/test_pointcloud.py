@@ -7,6 +7,7 @@ import shapes
 from regnet_core import Box, CloudError
 from regnet_core.geometry import pose_matrix, transform_points
 from regnet_core.ops.buckets import CornerBuckets
+from regnet_core.ops.rows import spread_rows
 from regnet_core.pointcloud import (
     colors_as_floats,
     crop,
@@ -111,6 +112,18 @@ def test_points_are_drawn_evenly_from_all_that_are_usable(most: int) -> None:
     # One from about as many as each stands for.
     if size > 1:
         assert np.diff(inside).max() <= 2 / share + 2
+
+
+@pytest.mark.parametrize(("count", "size"), [(0, 0), (7, 7), (10, 3), (100_000, 6000), (13, 0)])
+def test_rows_are_spread_evenly(count: int, size: int) -> None:
+    rng = np.random.default_rng(0)
+    draws = [spread_rows(count, size, rng) for _ in range(200)]
+    for rows in draws:
+        assert len(rows) == size and (np.diff(rows) > 0).all()
+        runs = count * np.arange(size + 1) // max(size, 1)
+        assert (rows >= runs[:-1]).all() and (rows < runs[1:]).all()
+    if size == 3:
+        assert np.bincount(np.concatenate(draws), minlength=10).min() > 200 * 0.3 / 2
 
 
 def test_it_does_not_matter_how_points_lie_in_memory() -> None:

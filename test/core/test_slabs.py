@@ -71,6 +71,13 @@ def test_layers() -> None:
     np.testing.assert_array_equal(found.points, POINTS[above])
     np.testing.assert_allclose(found.height, height[above], atol=1e-12)
     np.testing.assert_array_equal(found.ground, POINTS[np.abs(height) <= 0.3, :2].astype(np.float32))
+    some = layers(POINTS, NORMALS[0], float(OFFSETS[0]), 0.3, ground=30)
+    every = len(found.ground) // 30
+    assert every > 3 and len(found.ground) // every <= len(some.ground) <= 1.3 * len(found.ground) / every
+    own = {tuple(xy): n for n, xy in enumerate(found.ground.tolist())}
+    assert np.diff([own[tuple(xy)] for xy in some.ground.tolist()]).max() <= every
+    np.testing.assert_array_equal(some.points, found.points)
+    assert len(layers(POINTS, NORMALS[0], float(OFFSETS[0]), 0.3, ground=100_000).ground) == len(found.ground)
     assert [len(part) for part in layers(POINTS[:0], NORMALS[0], 0.0, 0.3)] == [0] * 4
 
 
