@@ -362,19 +362,21 @@ def _drawn_evenly(given, wanted, key):  # type: ignore[no-untyped-def]
     count = len(given)
     goes = 2 * wanted > count
     marked = count - wanted if goes else wanted
-    each, n, before = count / max(marked, 1), 0, -1
-    chosen = np.empty(count if goes else wanted, given.dtype)
+    each, before = count / max(marked, 1), -1
+    places = np.empty(marked, np.int32)
     for i in range(marked):
-        place = max(min(int((i + _random(key, i)) * each), count - 1), before + 1)
-        if goes:
-            for other in range(before + 1, place):
-                chosen[n] = given[other]
-                n += 1
-        else:
-            chosen[i] = given[place]
-        before = place
-    if goes:
-        for other in range(before + 1, count):
-            chosen[n] = given[other]
-            n += 1
+        places[i] = min(int((i + _random(key, i)) * each), count - 1)
+    for i in range(marked):
+        before = max(places[i], before + 1)
+        places[i] = before
+    if not goes:
+        return given[places]
+    stays, n = np.ones(count, np.uint8), 0
+    for i in range(marked):
+        stays[places[i]] = 0
+    chosen = np.empty(count, given.dtype)
+    for i in range(count):
+        # Without a branch that nobody could foresee: written over by the next one where it goes.
+        chosen[n] = given[i]
+        n += stays[i]
     return chosen
