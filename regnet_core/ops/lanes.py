@@ -94,6 +94,26 @@ def _in_ball_apart(lanes: _Lanes, address: Any, apart: Any, given: list[Any]) ->
     return lanes.bits(build.fcmp_ordered("<=", lanes.dot(offsets, offsets), given[3]))
 
 
+def _in_hand(lanes: _Lanes, address: Any, apart: Any, given: list[Any]) -> Any:
+    build, rows = lanes.build, [address]
+    for _ in range(2):
+        rows.append(build.add(rows[-1], apart))
+    offsets = [build.fsub(lanes.row(row, 0), given[9 + a]) for a, row in enumerate(rows)]
+    x, y, z = (lanes.dot([given[3 * row + axis] for row in range(3)], offsets) for axis in range(3))
+    y = lanes.size(y)
+    half, back, front, face, palm, inner, outer = given[12:]
+
+    def holds(one: Any, sign: str, other: Any) -> Any:
+        return build.fcmp_ordered(sign, one, other)
+
+    there = build.and_(holds(lanes.size(z), "<=", half), build.and_(holds(x, ">=", back), holds(x, "<=", front)))
+    behind = holds(x, "<=", face)
+    in_palm = build.and_(behind, holds(y, "<=", palm))
+    in_fingers = build.and_(build.not_(behind), build.and_(holds(y, ">=", inner), holds(y, "<=", outer)))
+    palm_bits, finger_bits = (lanes.bits(build.and_(there, part)) for part in (in_palm, in_fingers))
+    return build.or_(palm_bits, build.shl(finger_bits, _INT64(BOXES)))
+
+
 def _gaps(lanes: _Lanes, given: list[Any], lower: list[Any], upper: list[Any]) -> Any:
     """Squared distances between boxes or points and a box."""
     zero, gaps = ir.Constant(lanes.floats, [0.0] * lanes.count), []
@@ -173,6 +193,27 @@ def in_ball_apart(context, points, apart, x, y, z, squared):  # type: ignore[no-
     """Which of 16 points are within a distance, of which the square is given, of x, y, z; their y are so many bytes
     behind their x, and their z as many behind their y."""
     return _asking(BOXES, 4, _in_ball_apart, addresses=2)
+
+
+@_written
+def in_hand(context, points, apart, a, b, c, d, e, f, g, h, i, x, y, z, half, back, front, face, palm, inner, outer):  # type: ignore[no-untyped-def]
+    """Which of 16 points, stored as for ``in_ball_apart``, are in a palm, and, in the next 16 bits, which in fingers.
+
+    ``a`` to ``i`` are the rows of the hand's rotation, one after the other; x, y, z is its centre. In its frame points
+    count with |z| of at most ``half`` and x from ``back`` to ``front``. Up to ``face`` it is the palm, with |y| of at
+    most ``palm``; from there on fingers, with |y| from ``inner`` to ``outer``.
+    """
+    return _asking(BOXES, 19, _in_hand, addresses=2)
+
+
+@_written
+def number_of_bits(context, bits):  # type: ignore[no-untyped-def]
+    """How many bits (int64) are set."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.ctpop(arguments[0])
+
+    return types.int64(types.int64), generate
 
 
 @_written

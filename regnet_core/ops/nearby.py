@@ -7,17 +7,14 @@ import numpy.typing as npt
 
 from regnet_core.geometry import Array
 from regnet_core.ops.buckets import SIZE, Buckets, buckets_near_box
+from regnet_core.ops.cell_points import points_in_cells
 from regnet_core.ops.compiled import compiled
 from regnet_core.ops.lanes import BOXES, in_ball_apart
 from regnet_core.ops.parallel import for_each_range
-from regnet_core.ops.voxel_grid import bounds_loop, cell_range
+from regnet_core.ops.voxel_grid import cell_range
 
 _CELL = 0.012
 """Edge length of the cells that points are sorted into, at least [m]: smaller ones take more time than they save."""
-_MAX_CELLS = 1_000_000
-"""Clouds so wide that they would need more get larger ones."""
-_FAR = np.float32(1e18)
-"""Nothing is near this, and its square is a number [m]."""
 
 
 def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.bool_]:
@@ -27,9 +24,8 @@ def near_any(points: Array, queries: Array, radius: float) -> npt.NDArray[np.boo
     """
     near = np.zeros(len(queries), np.bool_)
     if len(points) > 0:
-        given, at = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(queries, np.float64)
-        columns = _in_columns(given, max(radius, _CELL), _MAX_CELLS)
-        for_each_range(_search, len(at), 25, at, radius, *columns, near)
+        cells, at = points_in_cells(points, max(radius, _CELL)), np.ascontiguousarray(queries, np.float64)
+        for_each_range(_search, len(at), 25, at, radius, *cells, near)
     return near
 
 
@@ -81,42 +77,6 @@ def _kth(begin, end, buckets, k, usual, most, distance):  # type: ignore[no-unty
             if radius >= most:
                 break
             radius = min(1.5 * radius, most)
-
-
-@compiled
-def _in_columns(points, cell, most):  # type: ignore[no-untyped-def]
-    """Points sorted by the horizontal cell that they are in, by x and then y.
-
-    Returns:
-        Their x, y and z as seen from the lower corner (3, N + ``BOXES``), with far ones at the end; where each cell's
-        points begin (nx, ny + 1); that corner; and the edge length of a cell.
-    """
-    low, high = bounds_loop(points)
-    while True:
-        nx, ny = np.int64((high[0] - low[0]) / cell) + 1, np.int64((high[1] - low[1]) / cell) + 1
-        if np.float64(nx) * np.float64(ny) <= most:
-            break
-        cell *= 1.5
-    keys, free = np.empty(len(points), np.int32), np.zeros(nx * ny + 1, np.int32)
-    for p in range(len(points)):
-        keys[p] = np.int64((points[p, 0] - low[0]) / cell) * ny + np.int64((points[p, 1] - low[1]) / cell)
-        free[keys[p] + 1] += 1
-    start, before = np.empty((nx, ny + 1), np.int32), 0
-    for i in range(nx):
-        start[i, 0] = before
-        for j in range(ny):
-            here = free[i * ny + j + 1]
-            free[i * ny + j] = before
-            before += here
-            start[i, j + 1] = before
-    at = np.empty((3, len(points) + BOXES), np.float32)
-    at[:, len(points) :] = _FAR
-    for p in range(len(points)):
-        place = free[keys[p]]
-        free[keys[p]] += 1
-        for a in range(3):
-            at[a, place] = points[p, a] - low[a]
-    return at, start, low, cell
 
 
 @compiled

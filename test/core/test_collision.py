@@ -62,6 +62,22 @@ def test_single_points_are_noise_up_to_the_limit() -> None:
     assert not SceneCollision(points, None, CollisionConfig(max_points=2)).with_points(grasp, Gripper())[0]
 
 
+@pytest.mark.parametrize("most", [0, 1, 5])
+@pytest.mark.parametrize(("count", "spread"), [(150, 0.12), (60_000, 2.0)])
+def test_hands_that_hit_points_are_those_with_too_many_in_palm_or_fingers(most: int, count: int, spread: float) -> None:
+    gripper = Gripper(width=0.08)
+    points = np.random.default_rng(3).uniform(-1.0, 1.0, (count, 3)) * [spread, spread, 0.12]
+    grasps, margin = random_grasps(600, 4, gripper), 0.003
+    grasps = Grasps.concatenate([grasps, Grasps.from_poses(np.eye(3)[None], [[9.0, 0.0, 0.0]], [0.05], [1.0])])
+    scene = SceneCollision(points, None, CollisionConfig(margin=margin, max_points=most))
+    counts = scene.occupancy(grasps, gripper, margin=margin)
+    expected = (counts.palm > most) | (counts.fingers > most)
+    np.testing.assert_array_equal(scene.with_points(grasps, gripper), expected)
+    assert 0 < expected.sum() < len(grasps) - 1
+    assert not SceneCollision(points[:0], None).with_points(grasps, gripper).any()
+    assert scene.with_points(grasps[:0], gripper).shape == (0,)
+
+
 def test_lowest_height_equals_the_lowest_of_all_corners() -> None:
     gripper = Gripper(width=0.09)
     grasps = random_grasps(300, 5, gripper)
