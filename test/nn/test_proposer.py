@@ -71,7 +71,7 @@ def test_the_network_sees_points_in_random_order(
     proposer = NetworkProposer(network)
     monkeypatch.setattr(network, "forward", spy)
     order = np.lexsort(scene.points.T)
-    in_rows = dataclasses.replace(scene, points=scene.points[order], source=scene.source[order])
+    in_rows = dataclasses.replace(scene, points=scene.points[order], rows=scene.source[order])
     proposer.propose(in_rows, Gripper(), np.ones(len(scene.objects.points), bool), np.random.default_rng(0))
     height = seen[0][:, 2]
     rank_of_neighbours = np.corrcoef(np.arange(len(height)), height.numpy())[0, 1]
