@@ -284,7 +284,7 @@ DECISION_STAGES = (
         "of the open hand with the table and the cloud",
         (
             "regnet_core.collision:SceneCollision.__init__",
-            "regnet_core.collision:SceneCollision.with_table",
+            "regnet_core.collision:hits_table",
             "regnet_core.collision:SceneCollision.with_points",
             "regnet_core.collision:SceneCollision.occupancy",
         ),

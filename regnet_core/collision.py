@@ -57,7 +57,7 @@ class Occupancy(NamedTuple):
 
 
 class SceneCollision:
-    """Tests hands against points (N, 3) and a support plane."""
+    """Tests hands against points (N, 3), which are not copied, and a support plane."""
 
     def __init__(self, points: Array, plane: Plane | None, config: CollisionConfig | None = None) -> None:
         self.config = config or CollisionConfig()
@@ -106,9 +106,14 @@ class SceneCollision:
 
     def with_table(self, grasps: Grasps, gripper: Gripper) -> Mask:
         """(M,): some part of the hand is below the support plane or nearer to it than the clearance."""
-        if self.plane is None:
-            return np.zeros(len(grasps), bool)
-        return lowest_height(grasps, gripper, self.plane) < self.config.table_clearance
+        return hits_table(grasps, gripper, self.plane, self.config)
+
+
+def hits_table(grasps: Grasps, gripper: Gripper, plane: Plane | None, config: CollisionConfig) -> Mask:
+    """(M,): some part of the hand is below the support plane or nearer to it than the clearance."""
+    if plane is None:
+        return np.zeros(len(grasps), bool)
+    return lowest_height(grasps, gripper, plane) < config.table_clearance
 
 
 def lowest_height(grasps: Grasps, gripper: Gripper, plane: Plane) -> Array:

@@ -20,6 +20,8 @@ from regnet_core.ops.rows import taken
 from regnet_core.ops.voxel_grid import bounds
 
 _MAX_VOXELS = 6_000_000
+_MAX_LEVELS = 1000
+"""And so many above each other."""
 _PAD = 4
 """Cells of the grid around the objects, on every side."""
 _REACH = 2.5
@@ -73,20 +75,20 @@ class Columns(NamedTuple):
 
 
 def columns_of(points: Array, plane: Plane, cell: float = 0.005) -> Columns | None:
-    """The columns that observed points (N, 3) of objects stand for; None where they are spread too wide.
+    """The columns that observed points (N, 3) of objects stand for; None where they are spread too wide or too high.
 
     Where the grid would be too large, its cells are enlarged, up to twice.
 
     Args:
-        points: points of the objects only, N > 0, all above the plane [m].
+        points: points of the objects only, N > 0; nothing is filled below those that are not above the plane [m].
         plane: the support plane.
         cell: edge length of a voxel [m].
     """
     height = plane.height(points)
     lower, upper = bounds(points)
-    top, largest = float(height.max()), 2.01 * cell
+    top, largest = max(float(height.max()), 0.0), 2.01 * cell
     spread = [*(upper - lower)[:2].tolist(), top]
-    while math.prod(side / cell + 2 * _PAD + 2 for side in spread) > _MAX_VOXELS:
+    while math.prod(side / cell + 2 * _PAD + 2 for side in spread) > _MAX_VOXELS or top > _MAX_LEVELS * cell:
         cell *= 1.25
         if cell > largest:
             return None

@@ -10,13 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from regnet_core.collision import CollisionConfig, SceneCollision
+from regnet_core.collision import CollisionConfig, SceneCollision, hits_table
 from regnet_core.errors import CloudError, GripperError, InvalidInputError
 from regnet_core.explain import explain
 from regnet_core.filters import GraspFilters
 from regnet_core.geometry import Box, Mask, Plane
 from regnet_core.grasps import Grasps
 from regnet_core.gripper import Gripper
+from regnet_core.later import Later
 from regnet_core.models import DEFAULT_MODEL, load_model
 from regnet_core.ops.parallel import sharing_cores
 from regnet_core.pointcloud import as_points, validate_colors, validate_viewpoint
@@ -139,14 +140,14 @@ class GraspDetector:
         with recorder.step("proposals") as step:
             grasps, considered = self._proposer.propose(scene, gripper, focus, rng)
             step.kept, step.rejected = len(grasps), considered - len(grasps)
-        collision = SceneCollision(scene.obstacles, scene.plane, self.config.collision)
+        collision = Later(lambda: SceneCollision(scene.obstacles, scene.plane, self.config.collision))
         checks: list[tuple[str, Callable[[Grasps], Mask]]] = [
             ("quality", filters.quality_ok),
             ("approach cone", filters.approach_ok),
             ("workspace", lambda g: filters.workspace_ok(g, gripper)),
-            ("collision with table", lambda g: ~collision.with_table(g, gripper)),
-            ("collision with cloud", lambda g: ~collision.with_points(g, gripper)),
-            ("target region", lambda g: _on_target(g, gripper, collision, scene, focus)),
+            ("collision with table", lambda g: ~hits_table(g, gripper, scene.plane, self.config.collision)),
+            ("collision with cloud", lambda g: ~collision().with_points(g, gripper)),
+            ("target region", lambda g: _on_target(g, gripper, collision(), scene, focus)),
         ]
         for name, accepts in checks:
             with recorder.step(name) as step:

@@ -22,6 +22,7 @@ from regnet_core.ops.buckets import CornerBuckets
 from regnet_core.ops.local_planes import flattened
 from regnet_core.ops.rows import Usable, taken
 from regnet_core.ops.slabs import layers
+from regnet_core.ops.voxel_grid import bounds
 from regnet_core.ops.voxels import share_kept
 from regnet_core.pointcloud import (
     MAX_COORDINATE,
@@ -40,8 +41,9 @@ from regnet_core.visibility import UnseenGround, unseen_ground
 
 _THIN = 0.95
 """A cloud is thin already where voxels would keep at least this share of it."""
-_GROUND = 12_000
-"""So many points of the ground are enough to know how far it reaches."""
+_GROUND, _SMALL = 12_000, 4.0
+"""So many points of the ground are enough to know how far it reaches where all points are above so small an area [m2]:
+there are some on every spot of 5 cm."""
 _FEWEST_TO_FILL = 10
 """Of fewer points nothing is inferred about hidden sides."""
 _MIN_RADIUS, _MAX_RADIUS = 0.008, 0.02
@@ -60,7 +62,7 @@ class SceneConfig:
     """Points outside are ignored altogether [m]."""
     voxel: float = 0.002
     """Edge length of the voxels that thin the cloud before all else, where more than one in twenty of its points would
-    go, or it has too many [m]."""
+    go, or it has too many [m]. Voxels of less than a millimetre thin every cloud."""
     max_points: int = 300_000
     """The voxels are enlarged until no more points than this are left."""
     plane_clearance: float = 0.007
@@ -126,7 +128,7 @@ class Scene:
 
     points: npt.NDArray[np.floating]
     """(N, 3): every valid point in the workspace, thinned by voxels where many share one, float32 or float64 as the
-    user's array [m]."""
+    user's array [m]. It may be that array itself, which must not change while the scene is used."""
     rows: Index | None
     """(N,): their rows in the user's array; None: all of it."""
     plane: Plane | None
@@ -188,7 +190,7 @@ def prepare_scene(
         recorder: receives the counts and times of the steps, and warnings.
         viewpoint: position (3,) of the camera in the same frame, where it is known: normals then face it.
     """
-    given = as_floats(points)
+    given = _locked(as_floats(points))
     with recorder.step("valid points") as step:  # and, in the same pass, the next step's work
         usable = usable_rows(given, config.workspace)
         step.kept, step.rejected = usable.valid, len(given) - usable.valid
@@ -196,7 +198,7 @@ def prepare_scene(
         step.kept, step.rejected = usable.number, usable.valid - usable.number
     with recorder.step("points after thinning") as step:
         rows = _thinned(given, usable, config)
-        cloud = np.ascontiguousarray(given) if rows is None else taken(given, rows, given.dtype.type)
+        cloud = _locked(np.ascontiguousarray(given) if rows is None else taken(given, rows, given.dtype.type))
         step.kept, step.rejected = len(cloud), usable.number - len(cloud)
     with recorder.step("points on objects") as step:
         plane = fit_support_plane(cloud, rng)
@@ -208,6 +210,13 @@ def prepare_scene(
         on_plane = Later(lambda: layers(cloud, np.array(plane.normal), plane.offset, config.plane_clearance).ground)
     completion = _completion(found, columns, viewpoint, on_plane)
     return Scene(cloud, rows, plane, found.points, found.structure, completion, colors)
+
+
+def _locked(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view that cannot be written to: the user's array stays as it is, and compiled loops know one type of it."""
+    view = points.view()
+    view.flags.writeable = False
+    return view
 
 
 def _thinned(points: npt.NDArray[Any], usable: Usable, config: SceneConfig) -> Index | None:
@@ -231,7 +240,7 @@ def _find_surface(
 ) -> _Found:
     base = plane or _lowest_level(cloud)
     clearance = config.plane_clearance if plane is not None else -np.inf
-    seen = layers(cloud, np.array(base.normal), base.offset, clearance, _GROUND)
+    seen = layers(cloud, np.array(base.normal), base.offset, clearance, _GROUND if _is_small(cloud) else None)
     groups = cluster(seen.points)
     large = np.flatnonzero((groups.size >= config.outlier_neighbours)[groups.label])
     points, above, height = taken(seen.points, large), seen.above[large], seen.height[large]
@@ -308,6 +317,13 @@ def _surface(found: _Found, normals: Array, hidden: HiddenSurface) -> Surface:
         observed,
         np.concatenate([found.source, np.full(len(hidden.points), -1)]),
     )
+
+
+def _is_small(cloud: npt.NDArray[np.floating]) -> bool:
+    if len(cloud) == 0:
+        return True
+    low, high = bounds(cloud)
+    return float(high[0] - low[0]) * float(high[1] - low[1]) <= _SMALL
 
 
 def _lowest_level(cloud: npt.NDArray[np.floating]) -> Plane:

@@ -38,7 +38,7 @@ from regnet_ros.serialized_grasps import serialized_grasp_array
 from regnet_ros.settings import DetectorParameters
 from regnet_ros.threads import usable_cores, use_threads
 from regnet_ros.visuals import grasp_markers
-from regnet_ros.warm_up import made_up_cloud
+from regnet_ros.warm_up import made_up_clouds
 
 _EARLY = 0.75
 """Where a detection takes less than this share of the usual time, another cloud is asked for at its end."""
@@ -253,13 +253,14 @@ class Detector(GraspNode[DetectorParameters]):
         wanted = (detector.model, detector.device)
         if wanted in self._warm or not settings.warm_up:
             return
-        start, points = time.perf_counter(), made_up_cloud().astype(np.float32)
-        colors = np.full(points.shape, 128, np.uint8)
+        start = time.perf_counter()
         try:
-            if isinstance(detector, RemoteDetector):
-                detector.warm_up(points, settings.gripper, colors)
-            else:
-                detector.detect(points, settings.gripper, colors)
+            for points in made_up_clouds():
+                given, colors = points.astype(np.float32), np.full(points.shape, 128, np.uint8)
+                if isinstance(detector, RemoteDetector):
+                    detector.warm_up(given, settings.gripper, colors)
+                else:
+                    detector.detect(given, settings.gripper, colors)
         except RuntimeError as error:
             raise ModelError(f"model '{detector.model}' does not run on '{detector.device}': {error}") from error
         self._warm.add(wanted)

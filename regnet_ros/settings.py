@@ -111,7 +111,7 @@ class PreprocessorParameters(SensorParameters):
     )
     voxel_size: float = parameter(
         0.0,
-        "Edge length of the voxels that keep one point each [m]; 0 keeps all points. The detector thins by itself.",
+        "Edge length of the voxels that keep one point each [m]; 0 keeps all points. The detector thins what needs it.",
         limits=(0.0, 0.5),
     )
     max_points: int = parameter(0, "Most points to publish, drawn at random; 0 publishes all.", limits=(0, 10_000_000))

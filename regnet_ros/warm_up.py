@@ -1,4 +1,4 @@
-"""A made-up cloud to work on once, so that all code is compiled and loaded before the first real one."""
+"""Made-up clouds to work on once, so that all code is compiled and loaded before the first real one."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ def made_up_cloud() -> Array:
         _moved(along_y, x=x, z=0.04) for x in (-0.02, 0.02)
     ]
     return np.concatenate([table, top, *sides])
+
+
+def made_up_clouds() -> tuple[Array, Array]:
+    """That cloud, and the same with many points twice, which are thinned, and one that is not valid."""
+    points = made_up_cloud()
+    return points, np.concatenate([points, points[::5], np.full((1, 3), np.nan)])
 
 
 def _moved(points: Array, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:

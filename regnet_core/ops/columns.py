@@ -68,7 +68,7 @@ def smoothed_columns(
     return Volume(row, filled, inside)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _kernels(levels: int, deviation: float, truncate: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """A step up to each of the levels, smoothed (levels + 1, levels), and the Gaussian."""
     steps = np.tri(levels + 1, levels, -1, dtype=np.float32)

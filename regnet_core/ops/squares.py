@@ -6,26 +6,12 @@ a few times faster on maps of the size of a table's.
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
-
-import numpy as np
-import numpy.typing as npt
-
 from regnet_core.ops.compiled import compiled
-
-Number = TypeVar("Number", bound=np.generic)
-
-
-def closed(values: npt.NDArray[Number], reach: int) -> npt.NDArray[Number]:
-    """(nx, ny): dilated, then eroded: gaps of up to twice the reach are filled."""
-    plain: npt.NDArray[Any] = np.ascontiguousarray(values)
-    plain = plain.view(np.uint8) if plain.dtype == np.bool_ else plain
-    return closed_loop(plain, reach).view(values.dtype)  # type: ignore[no-any-return]
 
 
 @compiled
 def closed_loop(values, reach):  # type: ignore[no-untyped-def]
-    """``closed`` for other compiled functions; of truth values as bytes."""
+    """(nx, ny), heights or truth values as bytes: dilated, then eroded; gaps of up to twice the reach are filled."""
     return _best_of_squares(_best_of_squares(values, reach, True), reach, False)
 
 

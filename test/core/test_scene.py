@@ -111,6 +111,37 @@ def test_a_cloud_is_thinned_where_many_points_share_a_voxel_or_there_are_too_man
     assert len(single) // 4 < len(scene.points) <= len(single) // 2
 
 
+def test_a_wall_beside_a_large_floor_is_structure() -> None:
+    rng = np.random.default_rng(0)
+    axis = np.arange(0.0, 12.0, 0.0227)
+    floor = np.stack(np.meshgrid(axis, axis, [0.0]), axis=-1).reshape(-1, 3)
+    stray = np.column_stack([18.0 + rng.random(400), 6.0 + rng.random(400), np.zeros(400)])
+    wall = np.column_stack([np.full(4000, 14.0), 5.0 + 2.0 * rng.random(4000), 0.4 * rng.random(4000)])
+    box = np.concatenate([0.1 * rng.random((2000, 2)) + 6.0, np.full((2000, 1), 0.08)], axis=1)
+    scene, _ = prepare(np.concatenate([floor, stray, wall, box]).astype(np.float32))
+    assert len(scene.structure) > 3000
+    assert scene.seen[:, 0].max() < 6.2 and len(scene.seen) > 500
+
+
+def test_points_far_below_others_are_no_columns() -> None:
+    rng = np.random.default_rng(0)
+    above = np.concatenate([rng.random((3600, 2)) * 30.0, 5.0 + 45.0 * rng.random((3600, 1))], axis=1)
+    below = np.concatenate([rng.random((25, 2)) * 0.01, np.zeros((25, 1))], axis=1)
+    scene, _ = prepare(np.concatenate([above, below]))
+    assert np.isfinite(scene.obstacles).all()
+    tower = np.concatenate([rng.random((500, 2)) * 0.02, np.repeat([[0.0], [60.0]], 250, axis=0)], axis=1)
+    scene, _ = prepare(tower)
+    assert np.isfinite(scene.obstacles).all()
+
+
+def test_a_scene_cannot_change_the_users_array() -> None:
+    points = shapes.single_view(shapes.box(0.06, 0.1, 0.12)).astype(np.float32)
+    thin = points[voxel_downsample(points, 0.002)]
+    for given in (points, thin):
+        scene, _ = prepare(given)
+        assert not scene.points.flags.writeable and given.flags.writeable
+
+
 def test_the_shadow_of_a_box_is_unseen_ground() -> None:
     scene, _ = prepare(shapes.single_view(shapes.box(0.06, 0.10, 0.12)))
     assert scene.ground is not None
