@@ -60,6 +60,8 @@ def run(make_nodes: Callable[[], Sequence[Node]], args: Sequence[str] | None = N
         with contextlib.suppress(RCLError, InvalidHandle):
             node.destroy_node()
     rclpy.try_shutdown()
+    for number in (signal.SIGINT, signal.SIGTERM):  # a second one, while Python winds up, would look like a crash
+        signal.signal(number, signal.SIG_IGN)
     if not finished:  # a computation hangs on to its thread, and Python would wait for it
         sys.stdout.flush()
         sys.stderr.flush()

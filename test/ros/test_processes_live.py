@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,17 @@ def test_two_signals_in_a_row(system: System) -> None:
     process.signal(signal.SIGINT)
     process.signal(signal.SIGINT)
     assert process.wait(10.0) == 0, process.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_again_and_again_until_the_end(system: System, number: int) -> None:
+    process = system.start("selector")
+    process.wait_for_output("active, waiting")
+    deadline = time.monotonic() + 10.0
+    while process.alive and time.monotonic() < deadline:
+        process.signal(number)
+        time.sleep(0.002)
+    assert process.wait(1.0) == 0, process.output
 
 
 @pytest.mark.parametrize(
