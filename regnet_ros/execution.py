@@ -15,7 +15,7 @@ from regnet_msgs.msg import SelectedGrasp
 
 from regnet_core.grasps import Grasps
 from regnet_ros.grasp_list import GraspList
-from regnet_ros.spinning import DestroyableActionClient
+from regnet_ros.spinning import ThreadSafeActionClient
 
 ACTION = "execute_grasp"
 OUTDATED = "outdated"
@@ -58,7 +58,7 @@ class Execution:
         """
         self._logger = node.get_logger()
         self._name = node.resolve_service_name(ACTION)
-        self._client = DestroyableActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
+        self._client = ThreadSafeActionClient(node, ExecuteGrasp, ACTION, callback_group=group)
         self._permitted, self._choose, self._settled, self._given_up = permitted, choose, settled, given_up
         self._lock = threading.RLock()
         self._run = 0

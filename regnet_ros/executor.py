@@ -26,7 +26,7 @@ from regnet_ros.inputs import LATCHED_QOS
 from regnet_ros.node import GraspNode
 from regnet_ros.process import run
 from regnet_ros.settings import ExecutorParameters
-from regnet_ros.spinning import DestroyableActionServer
+from regnet_ros.spinning import ThreadSafeActionServer
 
 if TYPE_CHECKING:
     from regnet_core.robots.cell import PickResult, WorkCell
@@ -67,7 +67,7 @@ class Executor(GraspNode[ExecutorParameters]):
         self._points = self.add_publisher(PointCloud2, "points")
         self._joints = self.add_publisher(JointState, "joint_states")
         self._announce_camera(cell)
-        server = DestroyableActionServer(
+        server = ThreadSafeActionServer(
             self, ExecuteGrasp, ACTION,
             execute_callback=self._execute, goal_callback=self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT, callback_group=ReentrantCallbackGroup(),

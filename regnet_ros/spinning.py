@@ -7,9 +7,10 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 from rclpy.action import ActionClient, ActionServer
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import Executor, ShutdownException, TimeoutException
+from rclpy.node import Node
 
 _PATIENCE = 0.05
 """Longest time to wait for a thread to begin with a callback [s]: every one of them may be busy."""
@@ -37,11 +38,45 @@ class _Destroyable:
             super().add_to_wait_set(wait_set)  # type: ignore[misc]
 
 
-class DestroyableActionClient(_Destroyable, ActionClient):
-    """rclpy's client of an action."""
+class ThreadSafeActionClient(_Destroyable, ActionClient):
+    """rclpy's client of an action, for requests from other threads than the one that spins.
+
+    rclpy's own sends a request before it notes that it did so. A response that another thread takes between the two is
+    thrown away as "unexpected", and the future never ends (https://github.com/ros2/rclpy/issues/1123). Here what was
+    taken is looked at only when no request is on its way from the one step to the other.
+    """
+
+    def __init__(self, node: Node, action: type, name: str, *, callback_group: CallbackGroup | None = None) -> None:
+        """Args:
+        node: the node that the client belongs to.
+        action: type of the action.
+        name: of the action.
+        callback_group: of the client; None for the node's own.
+        """
+        self._noting = threading.Lock()
+        super().__init__(node, action, name, callback_group=callback_group)
+
+    def send_goal_async(self, *args: Any, **kwargs: Any) -> Any:
+        """The future handle of a goal (rclpy's method)."""
+        with self._noting:
+            return super().send_goal_async(*args, **kwargs)
+
+    def _cancel_goal_async(self, goal_handle: Any) -> Any:
+        with self._noting:
+            return super()._cancel_goal_async(goal_handle)
+
+    def _get_result_async(self, goal_handle: Any) -> Any:
+        with self._noting:
+            return super()._get_result_async(goal_handle)
+
+    def take_data(self) -> Any:
+        """What has come for the client (rclpy's method)."""
+        taken = super().take_data()
+        with self._noting:
+            return taken
 
 
-class DestroyableActionServer(_Destroyable, ActionServer):
+class ThreadSafeActionServer(_Destroyable, ActionServer):
     """rclpy's server of an action."""
 
 

@@ -12,7 +12,6 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from live import DEADLINE, NodeProcess, System, TimeExpiredError, ros_arguments, values_of, wait_for
-from rclpy.action import ActionClient
 from regnet_msgs.action import ExecuteGrasp
 from regnet_msgs.msg import Grasp, GraspArray, SelectedGrasp
 from sensor_msgs.msg import JointState, PointCloud2
@@ -22,6 +21,7 @@ from regnet_core.geometry import transform_points
 from regnet_core.gripper import Gripper
 from regnet_core.robots.layout import CellLayout
 from regnet_ros.conversions import cloud_from_message, gripper_to_message, pose_to_message
+from regnet_ros.spinning import ThreadSafeActionClient
 
 LAYOUT = CellLayout()
 _PATIENCE = 5.0
@@ -39,7 +39,7 @@ class Robot:
         self.process = system.start_node("executor", robot="panda", objects=0, speed=0.0, camera_rate=5.0)
         self.clouds = self.peer.listen(PointCloud2, "points")
         self.joints = self.peer.listen(JointState, "joint_states")
-        self._client = ActionClient(self.peer.node, ExecuteGrasp, "execute_grasp")
+        self._client = ThreadSafeActionClient(self.peer.node, ExecuteGrasp, "execute_grasp")
         wait_for(self._client.server_is_ready, "the action server")
         self.peer.introduce("executor")
 

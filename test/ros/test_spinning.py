@@ -9,12 +9,15 @@ from typing import Any
 
 import pytest
 import rclpy
-from live import reserved_domain, wait_for
+from action_msgs.msg import GoalStatus
+from live import DEADLINE, reserved_domain, wait_for
+from rclpy.action import CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.node import Node
+from regnet_msgs.action import ExecuteGrasp
 
-from regnet_ros.spinning import NodeExecutor, QuickCallbackGroup
+from regnet_ros.spinning import NodeExecutor, QuickCallbackGroup, ThreadSafeActionClient, ThreadSafeActionServer
 
 
 @pytest.fixture
@@ -94,3 +97,77 @@ def test_what_a_callback_raises_comes_out_of_the_spinning(node: Node, group: typ
         spun_until(executor, lambda: False)
     executor.settle(10.0)
     executor.shutdown()
+
+
+class SlowHandle:
+    """That of an action's client, whose requests return to the client only when their responses have been taken."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+        self._taken = {kind: threading.Event() for kind in ("goal", "cancel", "result")}
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._handle, name)
+        verb, _, kind = name.partition("_")
+        taken = self._taken.get(kind.partition("_")[0])
+        if taken is None:
+            return method
+
+        def send(request: Any) -> Any:
+            number = method(request)
+            assert taken.wait(DEADLINE)
+            time.sleep(0.2)  # for whoever took it to look up whose it is
+            return number
+
+        def take(kind: Any) -> Any:
+            response = method(kind)
+            taken.set()
+            return response
+
+        return {"send": send, "take": take}[verb]
+
+
+def test_responses_that_come_before_their_requests_were_noted_are_not_lost(node: Node) -> None:
+    def wait_for_cancel(goal: Any) -> Any:
+        wait_for(lambda: goal.is_cancel_requested, "the request to cancel")
+        goal.canceled()
+        return ExecuteGrasp.Result(message="as asked")
+
+    group = ReentrantCallbackGroup()
+    server = ThreadSafeActionServer(
+        node,
+        ExecuteGrasp,
+        "act",
+        wait_for_cancel,
+        callback_group=group,
+        cancel_callback=lambda _: CancelResponse.ACCEPT,
+    )
+    client = ThreadSafeActionClient(node, ExecuteGrasp, "act", callback_group=group)
+    client._client_handle = SlowHandle(client._client_handle)
+    executor, ended = executor_of(node), threading.Event()
+
+    def spin() -> None:
+        while not ended.is_set():
+            executor.spin_once(0.05)
+
+    spinning = threading.Thread(target=spin)
+    spinning.start()
+
+    def answer(future: Any) -> Any:
+        wait_for(future.done, "a response", 10.0)
+        return future.result()
+
+    try:
+        wait_for(client.server_is_ready, "the action server")
+        goal = answer(client.send_goal_async(ExecuteGrasp.Goal()))
+        assert goal.accepted
+        assert len(answer(goal.cancel_goal_async()).goals_canceling) == 1
+        result = answer(goal.get_result_async())
+        assert (result.status, result.result.message) == (GoalStatus.STATUS_CANCELED, "as asked")
+    finally:
+        ended.set()
+        spinning.join(DEADLINE)
+        executor.settle(10.0)
+        client.destroy()
+        server.destroy()
+        executor.shutdown()
