@@ -7,6 +7,7 @@ computed when a method or the collision check asks, as no network looks at it: `
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -205,10 +206,7 @@ def prepare_scene(
         found = _find_surface(cloud, rows, plane, config, recorder.warnings)
         columns = _columns(found, plane, config, recorder.warnings)
         step.kept, step.rejected = len(found.points), len(cloud) - len(found.points)
-    on_plane = None
-    if plane is not None and config.complete_hidden:
-        on_plane = Later(lambda: layers(cloud, np.array(plane.normal), plane.offset, config.plane_clearance).ground)
-    completion = _completion(found, columns, viewpoint, on_plane)
+    completion = _completion(found, columns, viewpoint, lambda objects: _unseen_ground(cloud, plane, config, objects))
     return Scene(cloud, rows, plane, found.points, found.structure, completion, colors)
 
 
@@ -280,14 +278,22 @@ def _completion(
     found: _Found,
     columns: Columns | None,
     viewpoint: Array | None,
-    on_plane: Later[npt.NDArray[np.float32]] | None,
+    ground_below: Callable[[Array], UnseenGround | None],
 ) -> SceneCompletion:
     # No part refers to the whole: scenes go when nobody has them any more, without waiting for the garbage collector.
     solid = Later(lambda: None if columns is None else fill_columns(columns))
     hidden = Later(lambda: _hidden(found, solid()))
     objects = Later(lambda: _surface(found, _outward(found, solid(), viewpoint), hidden()))
-    ground = Later(lambda: None if on_plane is None else unseen_ground(on_plane(), objects().points))
+    ground = Later(lambda: ground_below(objects().points))
     return SceneCompletion(hidden, objects, ground)
+
+
+def _unseen_ground(
+    cloud: npt.NDArray[np.floating], plane: Plane | None, config: SceneConfig, objects: Array
+) -> UnseenGround | None:
+    if plane is None or not config.complete_hidden:
+        return None
+    return unseen_ground(layers(cloud, np.array(plane.normal), plane.offset, config.plane_clearance).ground, objects)
 
 
 def _hidden(found: _Found, solid: SolidModel | None) -> HiddenSurface:
