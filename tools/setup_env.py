@@ -207,8 +207,8 @@ def install_packages() -> None:
     UNFINISHED.touch()
     try:
         for wanted in (("-e", f"{ROOT}[{EXTRAS}]"), ("--no-deps", *ALONE)):
-            run(
-                *(PYTHON, "-m", "pip", "install", "--progress-bar", "off", *wanted),
+            run(  # Of modules that nobody imports no bytecode is made.
+                *(PYTHON, "-m", "pip", "install", "--no-compile", "--progress-bar", "off", *wanted),
                 seen=lambda line: changing.append(line) if line.startswith("Installing collected packages") else None,
             )
             changing.clear()
