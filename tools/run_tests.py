@@ -12,8 +12,8 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("gpu", "ros", "training")
-"""Folders of tests that go together; all others are the other half. Tests of nodes have a ROS domain of their own."""
+NODES = ("ros",)
+"""Folders of the one half; all others are the other half. Tests of nodes have a ROS domain of their own."""
 FIRST = "packaging"
 """Of the other half: what runs while the tests of nodes compile the loops that both halves need."""
 
