@@ -1,4 +1,7 @@
-"""Made-up clouds to work on once, so that all code is compiled and loaded before the first real one."""
+"""Made-up clouds to work on once, so that code is compiled and loaded before the first real one.
+
+They are small, and loops that are worth a second core only for larger clouds are compiled when such a cloud comes.
+"""
 
 from __future__ import annotations
 
